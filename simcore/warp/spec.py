@@ -1,0 +1,14 @@
+"""What to ask of the warp."""
+
+from __future__ import annotations
+
+from simcore.core.spec_base import Spec, quantity
+
+
+class WarpSpec(Spec):
+    """Each deformed tetrahedron is rasterised; every voxel looks up its undeformed label."""
+
+    skirt_mm: float = quantity(
+        "how far outside the polyhedral surface the map is continued, to keep the skin it cuts off", unit="mm",
+        default=1.5, ge=0.0, le=5.0,
+    )
