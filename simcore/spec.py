@@ -62,7 +62,8 @@ def _fields_at(model: type[Spec], path: tuple[int | str, ...]) -> list[str]:
 
 def spec_error(model: type[Spec], error: ValidationError) -> SpecError:
     """A pydantic error as a SpecError with one line a problem: field, value, what is allowed."""
-    problems = []
+    problems: list[dict[str, Any]] = []
+    lines: list[str] = []
     for item in error.errors(include_url=False):
         path = tuple(item["loc"])
         field = ".".join(map(str, path)) or "(the whole specification)"
@@ -70,12 +71,9 @@ def spec_error(model: type[Spec], error: ValidationError) -> SpecError:
         if item["type"] == "extra_forbidden":
             valid = _fields_at(model, path[:-1])
             message = "unknown field" + (f"; valid here: {', '.join(valid)}" if valid else "")
-        value = item.get("input")
-        if item["type"] in ("missing", "json_invalid"):
-            value = None
-        shown = repr(value) if isinstance(value, str | int | float | bool) else ""
-        problems.append({"field": field, "value": value if shown else None, "message": message})
-        problems[-1]["text"] = f"{field}{f' = {shown}' if shown else ''}: {message}"
-    lines = [p.pop("text") for p in problems]
+        given = item.get("input") if item["type"] not in ("missing", "json_invalid") else None
+        value = given if isinstance(given, str | int | float | bool) else None
+        problems.append({"field": field, "value": value, "message": message})
+        lines.append(f"{field}{'' if value is None else f' = {value!r}'}: {message}")
     head = "the specification is not valid" if len(lines) == 1 else f"{len(lines)} fields are not valid"
     return SpecError(f"{head}: " + "; ".join(lines), problems=problems)

@@ -34,9 +34,7 @@ class SpecError(SimulationError):
     kind = "user"
     code = "invalid-specification"
 
-    def __init__(
-        self, message: str, *, code: str | None = None, problems: list[dict[str, Any]] | None = None
-    ) -> None:
+    def __init__(self, message: str, *, code: str | None = None, problems: list[dict[str, Any]] | None = None) -> None:
         super().__init__(message, code=code)
         self.problems = problems or []
 

@@ -27,11 +27,11 @@ class Detector:
 
     def x_centres(self) -> NDArray[np.float64]:
         """mm, shape (nx,)"""
-        return (np.arange(self.nx) + 0.5) * self.pixel
+        return (np.arange(self.nx, dtype=np.float64) + 0.5) * self.pixel
 
     def y_centres(self) -> NDArray[np.float64]:
         """mm, shape (ny,)"""
-        return (np.arange(self.ny) - (self.ny - 1) / 2) * self.pixel
+        return (np.arange(self.ny, dtype=np.float64) - (self.ny - 1) / 2) * self.pixel
 
 
 @dataclass(frozen=True)
@@ -77,7 +77,10 @@ class AcquisitionGeometry:
         """Centre of pixel [j, i] of a view, (x, y, z), mm."""
         origin, e_y = self.detector_frame(view)
         d = self.detector
-        return origin + np.array([(i + 0.5) * d.pixel, 0.0, 0.0]) + (j - (d.ny - 1) / 2) * d.pixel * e_y
+        position: NDArray[np.float64] = (
+            origin + np.array([(i + 0.5) * d.pixel, 0.0, 0.0]) + (j - (d.ny - 1) / 2) * d.pixel * e_y
+        )
+        return position
 
     def to_dict(self) -> dict[str, Any]:
         """JSON for people who reconstruct without DICOM (geometry.json) and for the store."""

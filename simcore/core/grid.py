@@ -27,7 +27,7 @@ class Grid:
     def centres(self, axis: str) -> NDArray[np.float64]:
         """Voxel centres along "x", "y" or "z", mm."""
         i = "xyz".index(axis)
-        return self.corner[i] + (np.arange(self.shape[2 - i]) + 0.5) * self.spacing[i]
+        return self.corner[i] + (np.arange(self.shape[2 - i], dtype=np.float64) + 0.5) * self.spacing[i]
 
     @property
     def upper(self) -> Point:

@@ -1,0 +1,243 @@
+"""Content-addressed store of stage results on disk.
+
+    objects/ab/<sha256>      immutable files, named by the digest of their content
+    stages/ab/<key>.json     what a stage made: {output name: digest, size}, report, seconds, peak memory
+    locks/<key>              one computation per key, however many processes ask
+    tmp/                     where results are written before they are whole
+
+key = sha256(canonical JSON of stage, stage version, parameters, digests of the inputs). A file becomes visible by
+rename after it is whole and on disk, so a kill at any moment leaves the store as it was or one stage richer.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import errno
+import fcntl
+import hashlib
+import json
+import os
+import shutil
+import tempfile
+from collections.abc import Callable, Iterator
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import Any
+
+from simcore.core.artifacts import Report
+from simcore.core.errors import StoreError
+
+MIN_FREE_BYTES = 1 << 30
+"""A stage is not started where the disk has less free space than this."""
+
+
+def canonical(data: Any) -> bytes:
+    """JSON with sorted keys and no spaces: the same data gives the same bytes. NaN and infinity are refused."""
+    return json.dumps(data, sort_keys=True, separators=(",", ":"), ensure_ascii=False, allow_nan=False).encode()
+
+
+def digest(data: Any) -> str:
+    """sha256 of the canonical JSON, hexadecimal."""
+    return hashlib.sha256(canonical(data)).hexdigest()
+
+
+def file_digest(path: Path) -> str:
+    """sha256 of a file, hexadecimal."""
+    with open(path, "rb") as f:
+        return hashlib.file_digest(f, "sha256").hexdigest()
+
+
+@dataclass(frozen=True)
+class FileRef:
+    """A stored file: digest of its content and size in bytes."""
+
+    sha256: str
+    size: int
+
+
+@dataclass(frozen=True)
+class StageRecord:
+    """What one run of one stage made."""
+
+    stage: str
+    version: int
+    key: str
+    outputs: dict[str, FileRef]
+    report: Report = field(default_factory=dict)
+    seconds: float = 0.0
+    peak_memory_bytes: int = 0
+
+    @property
+    def digest(self) -> str:
+        """Digest of the outputs: what feeds the keys of later stages. Independent of when and how fast it ran."""
+        return digest({name: ref.sha256 for name, ref in self.outputs.items()})
+
+    @classmethod
+    def from_json(cls, text: bytes) -> StageRecord:
+        d = json.loads(text)
+        return cls(**{**d, "outputs": {n: FileRef(**r) for n, r in d["outputs"].items()}})
+
+
+def stage_key(stage: str, version: int, parameters: Any, inputs: dict[str, str]) -> str:
+    """Key of a stage: its name and version, its own part of the specification, the digests of its inputs."""
+    return digest({"stage": stage, "version": version, "parameters": parameters, "inputs": inputs})
+
+
+def _sync_folder(path: Path) -> None:
+    fd = os.open(path, os.O_RDONLY | os.O_DIRECTORY)
+    try:
+        os.fsync(fd)
+    finally:
+        os.close(fd)
+
+
+class Store:
+    """The store below ``root``; made where it is not there. Safe for many threads and processes of one machine."""
+
+    def __init__(self, root: Path | str, min_free_bytes: int = MIN_FREE_BYTES) -> None:
+        self.root = Path(root).absolute()
+        self.min_free_bytes = min_free_bytes
+        try:
+            for name in ("objects", "stages", "locks", "tmp"):
+                (self.root / name).mkdir(parents=True, exist_ok=True)
+        except OSError as error:
+            raise StoreError(f"the store folder {self.root} cannot be made: {error.strerror}") from error
+
+    def path(self, ref: FileRef) -> Path:
+        """Where the content lies."""
+        return self.root / "objects" / ref.sha256[:2] / ref.sha256
+
+    def get(self, key: str) -> StageRecord | None:
+        """The record of ``key``, or None where it was never made or one of its files is gone or cut short."""
+        try:
+            record = StageRecord.from_json(self._record_path(key).read_bytes())
+        except FileNotFoundError:
+            return None
+        except (ValueError, TypeError, KeyError):
+            return None  # an unreadable record is recomputed, not trusted
+        for ref in record.outputs.values():
+            try:
+                if self.path(ref).stat().st_size != ref.size:
+                    return None
+            except FileNotFoundError:
+                return None
+        return record
+
+    @contextlib.contextmanager
+    def lock(self, key: str) -> Iterator[None]:
+        """Only one process at a time is inside for a key. Freed by the system where the holder dies."""
+        with open(self.root / "locks" / key, "w") as f:
+            fcntl.flock(f, fcntl.LOCK_EX)
+            yield
+
+    @contextlib.contextmanager
+    def workspace(self) -> Iterator[Path]:
+        """A fresh folder on the disk of the store, removed at the end."""
+        self.require_space(0)
+        folder = Path(tempfile.mkdtemp(dir=self.root / "tmp"))
+        try:
+            yield folder
+        except OSError as error:
+            if error.errno in (errno.ENOSPC, errno.EDQUOT):
+                raise StoreError(
+                    f"the disk of {self.root} is full; free some space and run again: stages that finished are kept",
+                    code="storage-full",
+                ) from error
+            raise
+        finally:
+            shutil.rmtree(folder, ignore_errors=True)
+
+    def require_space(self, needed: int) -> None:
+        """raises: StoreError "storage-full" where ``needed`` bytes would leave less than ``min_free_bytes``."""
+        free = shutil.disk_usage(self.root).free
+        if free - needed < self.min_free_bytes:
+            raise StoreError(
+                f"{self.root} has {free / 1e9:.1f} GB free; {(needed + self.min_free_bytes) / 1e9:.1f} GB are "
+                "needed: free some space or choose another data folder",
+                code="storage-full",
+            )
+
+    def add(self, path: Path) -> FileRef:
+        """Moves a file of the same disk into the store."""
+        ref = FileRef(file_digest(path), path.stat().st_size)
+        target = self.path(ref)
+        target.parent.mkdir(exist_ok=True)
+        if target.exists() and target.stat().st_size == ref.size:
+            path.unlink()
+            os.utime(target)
+            return ref
+        with open(path, "rb") as f:
+            os.fsync(f.fileno())
+        path.chmod(0o444)
+        path.replace(target)
+        _sync_folder(target.parent)
+        return ref
+
+    def commit(
+        self,
+        stage: str,
+        version: int,
+        key: str,
+        folder: Path,
+        report: Report,
+        seconds: float,
+        peak_memory_bytes: int,
+    ) -> StageRecord:
+        """Moves every file below ``folder`` into the store and then records the stage."""
+        names = sorted(p.relative_to(folder).as_posix() for p in folder.rglob("*") if p.is_file())
+        outputs = {name: self.add(folder / name) for name in names}
+        record = StageRecord(stage, version, key, outputs, report, round(seconds, 4), peak_memory_bytes)
+        self._write_record(record)
+        return record
+
+    def materialise(self, ref: FileRef, target: Path) -> None:
+        """Copies stored content to ``target`` (a copy: what a client does to it cannot harm the store)."""
+        target.parent.mkdir(parents=True, exist_ok=True)
+        partial = target.with_name(target.name + ".partial")
+        shutil.copyfile(self.path(ref), partial)
+        partial.replace(target)
+
+    def run(
+        self,
+        stage: str,
+        version: int,
+        parameters: Any,
+        inputs: dict[str, str],
+        compute: Callable[[Path, str], tuple[Report, float, int]],
+    ) -> tuple[StageRecord, bool]:
+        """The record of a stage, computed where it is not there yet: (record, whether it was cached).
+
+        compute(folder, key): writes the outputs below ``folder``; returns (report, seconds, peak memory in bytes).
+        """
+        key = stage_key(stage, version, parameters, inputs)
+        if record := self.get(key):
+            return record, True
+        with self.lock(key):
+            if record := self.get(key):
+                return record, True
+            with self.workspace() as folder:
+                report, seconds, peak = compute(folder, key)
+                return self.commit(stage, version, key, folder, report, seconds, peak), False
+
+    def sweep_temporary(self, older_than_seconds: float = 24 * 3600) -> None:
+        """Removes what killed runs left in tmp/."""
+        import time
+
+        for p in (self.root / "tmp").iterdir():
+            with contextlib.suppress(OSError):
+                if time.time() - p.stat().st_mtime > older_than_seconds:
+                    shutil.rmtree(p, ignore_errors=True) if p.is_dir() else p.unlink()
+
+    def _record_path(self, key: str) -> Path:
+        return self.root / "stages" / key[:2] / f"{key}.json"
+
+    def _write_record(self, record: StageRecord) -> None:
+        target = self._record_path(record.key)
+        target.parent.mkdir(exist_ok=True)
+        fd, name = tempfile.mkstemp(dir=self.root / "tmp")
+        with os.fdopen(fd, "wb") as f:
+            f.write(canonical(asdict(record)))
+            f.flush()
+            os.fsync(f.fileno())
+        Path(name).replace(target)
+        _sync_folder(target.parent)

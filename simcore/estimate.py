@@ -1,0 +1,143 @@
+"""What a case will need, before anything runs; and whether it may run at all."""
+
+from __future__ import annotations
+
+import math
+
+from pydantic import BaseModel, Field
+
+from simcore.core.errors import ResourceLimitError, SpecError
+from simcore.core.memory import physical_bytes
+from simcore.spec import SimulationSpec
+
+
+class Estimate(BaseModel):
+    """Needs of one case whose breast is not in the store yet."""
+
+    voxels: int = Field(description="voxels of the uncompressed phantom [1]")
+    memory_bytes: int = Field(description="largest resident memory of the compute process [byte]")
+    storage_bytes: int = Field(description="room in the store, intermediate results included [byte]")
+    output_bytes: int = Field(description="size of the files a client gets [byte]")
+    seconds: float = Field(description="time on two cores, mesh included [s]")
+
+
+# Lateral growth of a frictionless, nearly incompressible half ellipsoid between plates, fitted to the solver's own
+# results over cups A..DD at 20 and 50 % (docs/compression.md): extent after / before = (1 - fraction)^-exponent.
+GROWTH_EXPONENT_Y = 0.50
+GROWTH_EXPONENT_X = 0.42
+
+# Measured on the paper's case; docs/performance.md.
+BYTES_BASE = 500e6
+BYTES_PER_TETRAHEDRON = 6e3
+
+
+def compressed_extent(spec: SimulationSpec) -> tuple[float, float, float]:
+    """Predicted extent of the compressed breast: (depth along x, width along y, thickness along z), mm."""
+    depth, half_width, upper, lower = spec.phantom.semi_axes()
+    left = 1 - spec.compression.percent / 100
+    return (
+        depth * left**-GROWTH_EXPONENT_X,
+        2 * half_width * left**-GROWTH_EXPONENT_Y,
+        (upper + lower) * left,
+    )
+
+
+def estimate(spec: SimulationSpec) -> Estimate:
+    """Memory, bytes and seconds; good to some 20 %."""
+    depth, half_width, upper, lower = spec.phantom.semi_axes()
+    voxel = spec.phantom.voxel_mm**3
+    before = depth * 2 * half_width * (upper + lower) / voxel
+    cx, cy, cz = compressed_extent(spec)
+    after = cx * cy * cz / voxel
+    a = spec.acquisition
+    pixels = a.detector.pixels_x * a.detector.pixels_y
+    scale = 1.0 if spec.reconstruction.pixel_mm is None else a.detector.pixel_mm / spec.reconstruction.pixel_mm
+    volume = math.ceil(cz / spec.reconstruction.slice_mm) * pixels * scale**2
+    stack = pixels * a.views
+    tets = 35e3 * (5.5 / spec.mesh.edge_length_mm) ** 3
+    memory = BYTES_BASE + before + after + BYTES_PER_TETRAHEDRON * tets + 2 * stack + 2 * volume + max(after, 4 * stack)
+    output = 4 * stack + 2 * volume + 0.02 * volume + 5e6
+    storage = output + 0.05 * (before + after) + 2 * stack + 2 * volume
+    seconds = 2.0 + (before + 2 * after) / 150e6 + 5e-4 * tets + stack * 8e-8 + volume * a.views * 1e-9 + output / 3e8
+    return Estimate(
+        voxels=int(before),
+        memory_bytes=int(memory),
+        storage_bytes=int(storage),
+        output_bytes=int(output),
+        seconds=round(seconds, 1),
+    )
+
+
+def check(spec: SimulationSpec, memory_limit_bytes: int | None = None) -> Estimate:
+    """The estimate of a specification that can be simulated.
+
+    memory_limit_bytes: the machine's memory where not given.
+    raises: SpecError where the geometry cannot work, ResourceLimitError where too much is asked; each message names
+    the field, the needed and the allowed value.
+    """
+    _check_geometry(spec)
+    needs = estimate(spec)
+    limit = physical_bytes() if memory_limit_bytes is None else memory_limit_bytes
+    if needs.memory_bytes > limit:
+        raise ResourceLimitError(
+            f"phantom.voxel_mm = {spec.phantom.voxel_mm:g} with a breast of {spec.phantom.volume_ml:g} ml and "
+            f"{spec.acquisition.views} views needs {needs.memory_bytes / 1e9:.1f} GB of memory; "
+            f"{limit / 1e9:.1f} GB are allowed: use larger voxels, fewer views or thicker slices"
+        )
+    return needs
+
+
+def _check_geometry(spec: SimulationSpec) -> None:
+    a = spec.acquisition
+    depth, width, thickness = compressed_extent(spec)
+    top = a.air_gap_mm + thickness
+    # The focal spot is lowest in the outermost view.
+    half = math.radians(a.angular_range_degrees / 2)
+    radius = a.source_to_detector_mm - a.isocenter_height_mm
+    if radius <= 0:
+        _refuse(
+            "acquisition.isocenter_height_mm",
+            a.isocenter_height_mm,
+            f"the isocenter must lie below the source: less than source_to_detector_mm = {a.source_to_detector_mm:g}",
+        )
+    lowest = a.isocenter_height_mm + radius * math.cos(half)
+    if lowest <= top + 50:
+        _refuse(
+            "acquisition.source_to_detector_mm",
+            a.source_to_detector_mm,
+            f"the focal spot comes down to {lowest:.0f} mm above the detector; the breast reaches {top:.0f} mm, and "
+            f"50 mm must lie between",
+        )
+    if a.truncation == "allow":
+        return
+    mid = a.air_gap_mm + thickness / 2
+    reach_x = depth * a.source_to_detector_mm / (a.source_to_detector_mm - mid)
+    field_x = a.detector.pixels_x * a.detector.pixel_mm
+    if reach_x > field_x:
+        _refuse(
+            "acquisition.detector.pixels_x",
+            a.detector.pixels_x,
+            f"the breast reaches {reach_x:.0f} mm from the chest wall on the detector, which is {field_x:.0f} mm deep; "
+            f"at least {math.ceil(reach_x / a.detector.pixel_mm)} pixels, or acquisition.truncation = 'allow'",
+        )
+    source_y = radius * math.sin(half)
+    source_z = lowest
+    m = source_z / (source_z - mid)
+    reach_y = m * width / 2 + (m - 1) * source_y
+    field_y = a.detector.pixels_y * a.detector.pixel_mm / 2
+    if reach_y > field_y:
+        _refuse(
+            "acquisition.detector.pixels_y",
+            a.detector.pixels_y,
+            f"in the outermost view the breast reaches {reach_y:.0f} mm from the middle of the detector, whose half "
+            f"width is {field_y:.0f} mm; at least {2 * math.ceil(reach_y / a.detector.pixel_mm)} pixels, a smaller "
+            f"angular range, or acquisition.truncation = 'allow'",
+        )
+
+
+def _refuse(name: str, value: float, message: str) -> None:
+    raise SpecError(
+        f"{name} = {value:g}: {message}",
+        code="geometry-not-possible",
+        problems=[{"field": name, "value": value, "message": message}],
+    )

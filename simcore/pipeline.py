@@ -1,0 +1,310 @@
+"""One case from specification to DICOM: the stages in order, each computed once and kept in the store.
+
+    phantom -> mesh -> fem -> warp -> projection -> reconstruction -> dicom -> preview
+
+A second run of the same specification computes nothing; a run after a kill continues after the last whole stage;
+a sweep over acquisitions grows and compresses its phantom once.
+"""
+
+from __future__ import annotations
+
+import json
+import platform
+import sys
+import time
+from collections.abc import Callable
+from dataclasses import asdict, dataclass, field
+from functools import cached_property
+from importlib import metadata
+from pathlib import Path
+from typing import Any, Generic, Protocol, TypeVar
+
+from simcore import __version__, dicom, fem, mesh, phantom, preview, projection, reconstruction, warp
+from simcore.core import files, memory
+from simcore.core.artifacts import Compression, Phantom, ProjectionStack, Report, Volume
+from simcore.core.progress import Progress
+from simcore.core.store import FileRef, StageRecord, Store
+from simcore.spec import SimulationSpec
+
+STAGES = ("phantom", "mesh", "fem", "warp", "projection", "reconstruction", "dicom", "preview")
+
+# Raised whenever a stage gives other bytes for the same specification: old results then no longer match.
+VERSIONS = dict.fromkeys(STAGES, 1)
+
+# Outputs that a client gets; the others (label volume, mesh, displacement, ...) stay in the store.
+PUBLIC_STAGES = ("dicom", "preview")
+PUBLIC_FILES = ("geometry.json",)
+
+
+class CaseProgress(Protocol):
+    """Told of every step: ``fraction`` of the stage in [0, 1]; ``cached`` where nothing had to be computed."""
+
+    def __call__(self, stage: str, fraction: float, message: str, *, cached: bool = False) -> None: ...
+
+
+def silent(stage: str, fraction: float, message: str, *, cached: bool = False) -> None:
+    """No progress."""
+
+
+T = TypeVar("T")
+
+
+@dataclass
+class StageResult(Generic[T]):
+    """A stage's record, and its artifact: in memory where it was just computed, else read when first asked for."""
+
+    store: Store
+    record: StageRecord
+    cached: bool
+    load: Callable[[files.Locate], T] | None = None
+    fresh: T | None = None
+
+    @cached_property
+    def artifact(self) -> T:
+        if self.fresh is not None:
+            return self.fresh
+        if self.load is None:
+            raise TypeError(f"the stage {self.record.stage} has files only")
+        return self.load(lambda name: self.store.path(self.record.outputs[name]))
+
+
+@dataclass
+class CaseResult:
+    """A finished case: its manifest and where each public file lies in the store."""
+
+    manifest: dict[str, Any]
+    files: dict[str, FileRef]
+    store: Store
+
+    def write(self, out: Path) -> None:
+        """Copies every file of the case and manifest.json below ``out``."""
+        for name, ref in self.files.items():
+            self.store.materialise(ref, out / name)
+        out.mkdir(parents=True, exist_ok=True)
+        (out / "manifest.json").write_text(json.dumps(self.manifest, indent=1) + "\n")
+
+
+@dataclass
+class _Run:
+    """Runs stages of one case against a store."""
+
+    store: Store
+    tell: CaseProgress
+    records: list[StageResult[Any]] = field(default_factory=list)
+
+    def stage(
+        self,
+        name: str,
+        parameters: Any,
+        inputs: dict[str, StageResult[Any]],
+        compute: Callable[[Progress], T],
+        save: Callable[[Path, T], None],
+        load: Callable[[files.Locate], T],
+    ) -> StageResult[T]:
+        """One stage whose artifact is a value: computed in memory, then saved."""
+        kept: list[T] = []
+
+        def work(folder: Path, key: str, progress: Progress) -> Report:
+            artifact = compute(progress)
+            kept.append(artifact)
+            save(folder, artifact)
+            return artifact.report  # type: ignore[attr-defined, no-any-return]
+
+        result: StageResult[T] = self.file_stage(name, parameters, inputs, work)
+        result.load = load
+        result.fresh = kept[0] if kept else None
+        return result
+
+    def file_stage(
+        self,
+        name: str,
+        parameters: Any,
+        inputs: dict[str, StageResult[Any]],
+        work: Callable[[Path, str, Progress], Report],
+    ) -> StageResult[Any]:
+        """One stage that writes files."""
+
+        def compute(folder: Path, key: str) -> tuple[Report, float, int]:
+            memory.reset_peak()
+            start = time.perf_counter()
+            report = work(folder, key, lambda fraction, message: self.tell(name, fraction, message))
+            return report, time.perf_counter() - start, memory.peak_bytes()
+
+        self.tell(name, 0.0, "started")
+        record, cached = self.store.run(
+            name, VERSIONS[name], parameters, {k: r.record.digest for k, r in inputs.items()}, compute
+        )
+        self.tell(name, 1.0, "done", cached=cached)
+        result: StageResult[Any] = StageResult(self.store, record, cached)
+        self.records.append(result)
+        return result
+
+
+def run(spec: SimulationSpec, store: Store, progress: CaseProgress = silent) -> CaseResult:
+    """Simulates one case.
+
+    raises: SimulationError (its message says what to change); whatever was computed before stays in the store.
+    """
+    case = _Run(store, progress)
+    start = time.perf_counter()
+
+    grown = case.stage(
+        "phantom",
+        {"spec": spec.phantom.model_dump(), "seed": spec.seed},
+        {},
+        lambda p: phantom.generate(spec.phantom, spec.seed, p),
+        files.save_phantom,
+        files.load_phantom,
+    )
+    meshed = case.stage(
+        "mesh",
+        spec.mesh.model_dump(),
+        {"phantom": grown},
+        lambda p: mesh.build(grown.artifact, spec.mesh, p),
+        files.save_mesh,
+        files.load_mesh,
+    )
+    compressed = case.stage(
+        "fem",
+        spec.compression.model_dump(),
+        {"phantom": grown, "mesh": meshed},
+        lambda p: fem.compress(meshed.artifact, grown.artifact, spec.compression, p),
+        files.save_compression,
+        files.load_compression,
+    )
+    warped = case.stage(
+        "warp",
+        spec.warp.model_dump(),
+        {"phantom": grown, "mesh": meshed, "compression": compressed},
+        lambda p: warp.deform(grown.artifact, meshed.artifact, compressed.artifact, spec.warp, p),
+        files.save_phantom,
+        files.load_phantom,
+    )
+    stack = case.stage(
+        "projection",
+        {"acquisition": spec.acquisition.model_dump(), "physics": spec.physics.model_dump()},
+        {"phantom": warped},
+        lambda p: projection.project(warped.artifact, spec.acquisition, spec.physics, p),
+        files.save_stack,
+        files.load_stack,
+    )
+    volume = case.stage(
+        "reconstruction",
+        spec.reconstruction.model_dump(),
+        {"projections": stack, "compression": compressed},
+        lambda p: reconstruction.reconstruct(stack.artifact, spec.reconstruction, compressed.artifact.thickness, p),
+        files.save_volume,
+        files.load_volume,
+    )
+    exported = case.file_stage(
+        "dicom",
+        {"export": spec.export.model_dump(), "physics": spec.physics.model_dump(), "software": __version__},
+        {"projections": stack, "volume": volume, "phantom": warped, "compression": compressed},
+        lambda folder, key, p: _export(folder, key, spec, stack, volume, warped, compressed, p),
+    )
+    pictures = case.file_stage(
+        "preview",
+        {},
+        {"phantom": grown, "compressed": warped, "projections": stack, "volume": volume},
+        lambda folder, key, p: _previews(folder, grown, warped, stack, volume),
+    )
+    del exported, pictures
+    return _result(spec, store, case.records, time.perf_counter() - start)
+
+
+def _export(
+    folder: Path,
+    key: str,
+    spec: SimulationSpec,
+    stack: StageResult[ProjectionStack],
+    volume: StageResult[Volume],
+    warped: StageResult[Phantom],
+    compressed: StageResult[Compression],
+    progress: Progress,
+) -> Report:
+    # The key of this stage covers the export specification, the software and the digests of all that is written,
+    # so equal identifiers mean equal content.
+    case = dicom.CaseDescription(identity=key, seed=spec.seed, software_version=__version__, energy_keV=20.0)
+    names = dicom.export(
+        folder,
+        spec.export,
+        case,
+        stack.artifact,
+        volume.artifact,
+        warped.artifact,
+        compressed.artifact,
+        progress,
+    )
+    return {"files": len(names)}
+
+
+def _previews(
+    folder: Path,
+    grown: StageResult[Phantom],
+    warped: StageResult[Phantom],
+    stack: StageResult[ProjectionStack],
+    volume: StageResult[Volume],
+) -> Report:
+    preview.write_previews(
+        folder,
+        phantom=grown.artifact,
+        compressed=warped.artifact,
+        stack=stack.artifact,
+        volume=volume.artifact,
+    )
+    return {}
+
+
+def _result(spec: SimulationSpec, store: Store, records: list[StageResult[Any]], seconds: float) -> CaseResult:
+    public = {
+        name: ref
+        for r in records
+        for name, ref in r.record.outputs.items()
+        if r.record.stage in PUBLIC_STAGES or name in PUBLIC_FILES
+    }
+    manifest = {
+        "schema": "tomosim-manifest/1",
+        "software": {"name": "tomosim", "version": __version__, "libraries": _libraries()},
+        "host": {
+            "machine": platform.machine(),
+            "system": platform.system(),
+            "python": sys.version.split()[0],
+        },
+        "specification": spec.model_dump(mode="json"),
+        "seed": spec.seed,
+        "seconds": round(seconds, 3),
+        "computed_stages": sum(not r.cached for r in records),
+        "stages": [
+            {
+                "name": r.record.stage,
+                "version": r.record.version,
+                "key": r.record.key,
+                "cached": r.cached,
+                "seconds": r.record.seconds,
+                "peak_memory_bytes": r.record.peak_memory_bytes,
+                "outputs": {name: asdict(ref) for name, ref in r.record.outputs.items()},
+                "report": r.record.report,
+            }
+            for r in records
+        ],
+        "results": _results({r.record.stage: r.record.report for r in records}),
+        "files": {name: asdict(ref) for name, ref in public.items()},
+    }
+    return CaseResult(manifest, public, store)
+
+
+def _results(reports: dict[str, Report]) -> Report:
+    """The numbers people ask for first, gathered from the reports of the stages."""
+    wanted = {
+        "phantom": ("volume_ml", "glandularity", "compartments", "tissue_ml"),
+        "mesh": ("tetrahedra", "nodes"),
+        "fem": ("force_N", "thickness_mm", "uncompressed_thickness_mm", "min_det_F", "volume_change"),
+        "warp": ("tissue_before_ml", "tissue_after_ml"),
+        "projection": ("truncated",),
+    }
+    return {name: reports[stage][name] for stage, names in wanted.items() for name in names if name in reports[stage]}
+
+
+def _libraries() -> dict[str, str]:
+    names = ("numpy", "scipy", "numba", "pydicom", "pytetwild", "scikit-image", "zstandard")
+    return {name: metadata.version(name) for name in names}

@@ -1,0 +1,180 @@
+"""Ready specifications: the paper's cups and acquisitions, and clinical systems (sources in docs/presets.md)."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from simcore.core.errors import SpecError
+from simcore.fem.spec import CompressionSpec
+from simcore.mesh.spec import TetwildMesh
+from simcore.phantom.spec import AnthropomorphicPhantom, CompartmentSpec
+from simcore.projection.spec import AcquisitionSpec, DetectorSpec
+from simcore.reconstruction.spec import FilteredBackprojection
+from simcore.spec import SimulationSpec
+
+# Volumes of the paper, section 5.1 (bra cup sizes, rounded), ml, and a number of compartments in its range 350..550.
+CUPS = {"a": (250.0, 350), "b": (450.0, 400), "c": (700.0, 450), "d": (950.0, 500), "dd": (1500.0, 550)}
+PERCENTS = (20, 50)
+
+# Angular range [degree] and views of the paper, section 5.4; 40 degrees in 30 is its non-clinical setup.
+PAPER_ACQUISITIONS = [(r, v) for r in (20, 30, 40) for v in (7, 11, 13, 15)] + [(40, 30)]
+
+
+@dataclass(frozen=True)
+class Preset:
+    """A name, one line for people, and how the specification is made."""
+
+    name: str
+    description: str
+    make: Callable[[], SimulationSpec]
+
+
+def paper_case(cup: str, percent: float, angular_range: float = 40.0, views: int = 15) -> SimulationSpec:
+    """The paper's case: GE Senographe DS prototype geometry, monoenergetic 20 keV, neo-Hookean breast."""
+    volume, compartments = CUPS[cup]
+    return SimulationSpec(
+        name=f"cup {cup.upper()}, {percent:g} %",
+        phantom=AnthropomorphicPhantom(volume_ml=volume, compartments=CompartmentSpec(count=compartments)),
+        compression=CompressionSpec(percent=float(percent)),
+        # The largest breasts are wider than the paper's detector at the outer tube angles.
+        acquisition=AcquisitionSpec(
+            angular_range_degrees=float(angular_range),
+            views=views,
+            truncation="allow" if cup in ("d", "dd") else "refuse",
+        ),
+    )
+
+
+def _system(title: str, acquisition: AcquisitionSpec) -> SimulationSpec:
+    return paper_case("c", 50).with_(name=title, acquisition=acquisition)
+
+
+_SYSTEMS: dict[str, tuple[str, AcquisitionSpec]] = {
+    "ge-senographe-ds": (
+        "GE Senographe DS prototype of the paper: 15 views over 40 degrees, stationary detector",
+        AcquisitionSpec(),
+    ),
+    "ge-pristina": (
+        "GE SenoClaire / Senographe Pristina: 9 views over 25 degrees, stationary detector",
+        AcquisitionSpec(
+            source_to_detector_mm=660.0,
+            isocenter_height_mm=40.0,
+            angular_range_degrees=25.0,
+            views=9,
+            air_gap_mm=22.0,
+            detector=DetectorSpec(pixels_x=2394, pixels_y=3062, pixel_mm=0.1),
+        ),
+    ),
+    "hologic-dimensions": (
+        "Hologic Selenia Dimensions: 15 views over 15 degrees, detector turns by 4.2 degrees",
+        AcquisitionSpec(
+            source_to_detector_mm=700.0,
+            isocenter_height_mm=0.0,
+            angular_range_degrees=15.0,
+            views=15,
+            detector_range_degrees=4.2,
+            air_gap_mm=25.0,
+            detector=DetectorSpec(pixels_x=1664, pixels_y=2048, pixel_mm=0.14),
+        ),
+    ),
+    "siemens-inspiration": (
+        "Siemens Mammomat Inspiration: 25 views over 50 degrees, stationary detector",
+        AcquisitionSpec(
+            source_to_detector_mm=650.0,
+            isocenter_height_mm=47.0,
+            angular_range_degrees=50.0,
+            views=25,
+            air_gap_mm=17.0,
+            detector=DetectorSpec(pixels_x=2816, pixels_y=3584, pixel_mm=0.085),
+        ),
+    ),
+    "fda-recondbt": (
+        "FDA ReconDBT example: 7 views over 30 degrees, 0.4 mm pixels",
+        AcquisitionSpec(
+            source_to_detector_mm=650.0,
+            isocenter_height_mm=45.0,
+            angular_range_degrees=30.0,
+            views=7,
+            air_gap_mm=20.0,
+            detector=DetectorSpec(pixels_x=170, pixels_y=615, pixel_mm=0.4),
+            truncation="allow",
+        ),
+    ),
+}
+
+
+def _tiny() -> SimulationSpec:
+    return SimulationSpec(
+        name="tiny",
+        phantom=AnthropomorphicPhantom(
+            volume_ml=60.0,
+            voxel_mm=1.0,
+            compartments=CompartmentSpec(count=60, retromammary_mm=4.0, ligament_mm=1.0),
+        ),
+        mesh=TetwildMesh(edge_length_mm=16.0, epsilon=3e-3),
+        compression=CompressionSpec(percent=30.0),
+        acquisition=AcquisitionSpec(views=5, detector=DetectorSpec(pixels_x=160, pixels_y=256, pixel_mm=0.7)),
+        reconstruction=FilteredBackprojection(slice_mm=2.0),
+    )
+
+
+def _build() -> dict[str, Preset]:
+    presets = []
+    for cup, (volume, _) in CUPS.items():
+        for percent in PERCENTS:
+            presets.append(
+                Preset(
+                    f"paper-cup-{cup}-{percent}",
+                    f"the paper's cup {cup.upper()} ({volume:g} ml) at {percent} %, 15 views over 40 degrees",
+                    lambda cup=cup, percent=percent: paper_case(cup, percent),  # type: ignore[misc]
+                )
+            )
+    for r, v in PAPER_ACQUISITIONS:
+        presets.append(
+            Preset(
+                f"paper-cup-c-20-{r}x{v}",
+                f"the paper's cup C at 20 %, {v} views over {r} degrees",
+                lambda r=r, v=v: paper_case("c", 20, r, v).with_(name=f"cup C, 20 %, {r}/{v}"),  # type: ignore[misc]
+            )
+        )
+    for name, (title, acquisition) in _SYSTEMS.items():
+        presets.append(
+            Preset(
+                name,
+                title,
+                lambda title=title, a=acquisition: _system(title.split(":")[0], a),  # type: ignore[misc]
+            )
+        )
+    presets.append(Preset("tiny", "a 60 ml breast with 1 mm voxels: seconds, for trying things out", _tiny))
+    return {p.name: p for p in presets}
+
+
+_PRESETS = _build()
+
+
+def names() -> list[str]:
+    """All preset names, the paper's first."""
+    return list(_PRESETS)
+
+
+def describe(name: str) -> str:
+    """One line for people."""
+    return _find(name).description
+
+
+def get(name: str) -> SimulationSpec:
+    """The specification of a preset.
+
+    raises: SpecError where there is no such preset, with the names there are.
+    """
+    return _find(name).make()
+
+
+def _find(name: str) -> Preset:
+    try:
+        return _PRESETS[name]
+    except KeyError:
+        raise SpecError(
+            f"preset = {name!r}: unknown preset; there are: {', '.join(_PRESETS)}", code="unknown-preset"
+        ) from None

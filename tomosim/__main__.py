@@ -1,0 +1,7 @@
+"""``python -m tomosim``"""
+
+import sys
+
+from tomosim.cli import main
+
+sys.exit(main())

@@ -1,0 +1,227 @@
+"""The command line. Standard output carries results, standard error progress and messages.
+
+Exit codes: 0 done; 2 the command or the specification is wrong; 3 the simulation failed; 4 the system or the service
+failed (running again may help); 130 interrupted.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from simcore import __version__
+from simcore.core.errors import SimulationError, SpecError
+from simcore.spec import SimulationSpec
+
+EXIT_CODES = {"user": 2, "simulation": 3, "system": 4}
+DEFAULT_DATA = Path("data")
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Runs one command; returns its exit code."""
+    args = _parser().parse_args(arguments)
+    try:
+        return int(args.run(args) or 0)
+    except SimulationError as error:
+        print(f"tomosim: {error}", file=sys.stderr)
+        return EXIT_CODES[error.kind]
+    except BrokenPipeError:  # the reader of a pipe is gone: `tomosim presets | head`
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return 0
+    except KeyboardInterrupt:
+        print("tomosim: interrupted; finished stages are kept, run the same command to go on", file=sys.stderr)
+        return 130
+    except MemoryError:
+        print("tomosim: out of memory: use larger voxels, fewer views or thicker slices", file=sys.stderr)
+        return EXIT_CODES["system"]
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(
+        prog="tomosim", description="Simulation of digital breast tomosynthesis, from a specification to DICOM."
+    )
+    parser.add_argument("--version", action="version", version=f"tomosim {__version__}")
+    commands = parser.add_subparsers(title="commands", required=True, metavar="COMMAND")
+
+    p = commands.add_parser("simulate", help="run one case here, without a service")
+    _spec_argument(p)
+    p.add_argument("--out", type=Path, required=True, metavar="DIR", help="where the files of the case go")
+    _data_argument(p)
+    p.add_argument("--threads", type=_positive, metavar="N", help="threads of the computation (default: all cores)")
+    p.set_defaults(run=_simulate)
+
+    p = commands.add_parser("serve", help="start the service: broker, worker and API in one process tree")
+    p.add_argument("--host", help="address to listen on (default 127.0.0.1)")
+    p.add_argument("--port", type=_port, help="port to listen on (default 8080)")
+    p.add_argument("--data", type=Path, metavar="DIR", help="folder of database, queue and store (default ./data)")
+    p.set_defaults(run=_serve)
+
+    p = commands.add_parser("submit", help="send one case to a service")
+    _spec_argument(p)
+    p.add_argument("--url", default=os.environ.get("TOMOSIM_URL", "http://127.0.0.1:8080"), help="the service")
+    p.add_argument("--wait", action="store_true", help="wait for the result, showing progress")
+    p.add_argument("--out", type=Path, metavar="DIR", help="download the files of the case there (implies --wait)")
+    p.set_defaults(run=_submit)
+
+    p = commands.add_parser("presets", help="list the presets, or print the specification of one to edit")
+    p.add_argument("name", nargs="?", help="a preset")
+    p.set_defaults(run=_presets)
+
+    p = commands.add_parser("estimate", help="memory, disk and time a case will need")
+    _spec_argument(p)
+    p.set_defaults(run=_estimate)
+
+    p = commands.add_parser("warm-up", help="compile all kernels once, so that the first case is as fast as the next")
+    p.set_defaults(run=_warm_up)
+    return parser
+
+
+def _spec_argument(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("spec", metavar="SPEC.json", help="a specification, or - for standard input")
+
+
+def _data_argument(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument(
+        "--data",
+        type=Path,
+        metavar="DIR",
+        default=Path(os.environ.get("TOMOSIM_DATA", DEFAULT_DATA)),
+        help="folder of the stage store (default ./data, or TOMOSIM_DATA)",
+    )
+
+
+def _positive(text: str) -> int:
+    try:
+        number = int(text)
+    except ValueError:
+        number = 0
+    if number < 1:
+        raise argparse.ArgumentTypeError(f"{text!r} is not a whole number of at least 1")
+    return number
+
+
+def _port(text: str) -> int:
+    number = _positive(text)
+    if number > 65535:
+        raise argparse.ArgumentTypeError(f"{text!r} is not a port: 1 to 65535")
+    return number
+
+
+def _read_spec(name: str) -> SimulationSpec:
+    try:
+        text = sys.stdin.buffer.read() if name == "-" else Path(name).read_bytes()
+    except OSError as error:
+        raise SpecError(
+            f"the specification {name} cannot be read: {error.strerror}; "
+            "'tomosim presets NAME' prints one to begin with",
+            code="specification-not-readable",
+        ) from error
+    return SimulationSpec.parse(text)
+
+
+def _simulate(args: argparse.Namespace) -> None:
+    from simcore import estimate, pipeline
+    from simcore.core.store import Store
+    from tomosim.console import StageDisplay
+
+    spec = _read_spec(args.spec)
+    estimate.check(spec)
+    _set_threads(args.threads)
+    store = Store(args.data / "store")
+    store.sweep_temporary()
+    with StageDisplay() as display:
+        result = pipeline.run(spec, store, display)
+    result.write(args.out)
+    _summary(result.manifest, args.out)
+
+
+def _set_threads(count: int | None) -> None:
+    import numba
+
+    if count is not None:
+        available = numba.config.NUMBA_NUM_THREADS
+        if count > available:
+            print(f"tomosim: --threads {count}: {available} cores are there, {available} threads used", file=sys.stderr)
+        numba.set_num_threads(min(count, available))
+
+
+def _serve(args: argparse.Namespace) -> int:
+    from api.serve import serve
+
+    options = {"host": args.host, "port": args.port, "data": args.data}
+    return serve(**{k: v for k, v in options.items() if v is not None})
+
+
+def _submit(args: argparse.Namespace) -> int:
+    from tomosim.client import Client
+    from tomosim.console import StageDisplay
+
+    spec = _read_spec(args.spec)
+    with Client(args.url) as client:
+        case = client.submit(spec)
+        print(f"{client.url}/v1/simulations/{case['id']}", flush=True)
+        if not (args.wait or args.out):
+            return 0
+        try:
+            with StageDisplay() as display:
+                case = client.wait(case["id"], lambda c: _show(display, c))
+        except KeyboardInterrupt:
+            print(f"tomosim: the case goes on; cancel it with POST .../{case['id']}/cancel", file=sys.stderr)
+            raise
+        if case["state"] != "succeeded":
+            error: dict[str, Any] = case.get("error") or {"message": f"the case was {case['state']}"}
+            print(f"tomosim: {error['message']}", file=sys.stderr)
+            return EXIT_CODES.get(str(error.get("kind")), EXIT_CODES["system"])
+        if args.out:
+            for name, size in client.download(case["id"], args.out):
+                print(f"{name}  {size} bytes", file=sys.stderr)
+            print(f"files in {args.out}", file=sys.stderr)
+    return 0
+
+
+def _show(display: Any, case: dict[str, Any]) -> None:
+    progress = case.get("progress") or {}
+    if progress.get("stage"):
+        display(progress["stage"], float(progress.get("fraction", 0.0)), progress.get("message") or case["state"])
+
+
+def _summary(manifest: dict[str, Any], out: Path) -> None:
+    results = manifest["results"]
+    computed = manifest["computed_stages"]
+    print(
+        f"{out}: force {results['force_N']:.1f} N, thickness {results['thickness_mm']:.1f} mm, "
+        f"volume {results['volume_ml']:.1f} ml, glandularity {100 * results['glandularity']:.1f} %; "
+        f"{computed} of {len(manifest['stages'])} stages computed, {manifest['seconds']:.1f} s"
+    )
+
+
+def _presets(args: argparse.Namespace) -> None:
+    from simcore import presets
+
+    if args.name:
+        print(presets.get(args.name).model_dump_json(indent=2))
+        return
+    width = max(map(len, presets.names()))
+    for name in presets.names():
+        print(f"{name:<{width}}  {presets.describe(name)}")
+
+
+def _estimate(args: argparse.Namespace) -> None:
+    from simcore import estimate
+
+    print(estimate.check(_read_spec(args.spec)).model_dump_json(indent=2))
+
+
+def _warm_up(args: argparse.Namespace) -> None:
+    import tempfile
+
+    from simcore import pipeline, presets
+    from simcore.core.store import Store
+    from tomosim.console import StageDisplay
+
+    with tempfile.TemporaryDirectory() as folder, StageDisplay() as display:
+        pipeline.run(presets.get("tiny"), Store(folder), display)
