@@ -1,0 +1,71 @@
+# Needs Python 3.11 (or later) and make; everything else goes into .venv.
+PYTHON ?= python3
+VENV := .venv
+BIN := $(VENV)/bin
+PORT ?= 8080
+OUT ?= out
+DATA ?= data
+
+.PHONY: help install install-dev demo serve test lint format bench validate docs lock clean
+
+help:
+	@echo "make demo      install, run the paper's cup C case through the service, files in $(OUT)/"
+	@echo "make serve     install, start the service on http://127.0.0.1:$(PORT)/"
+	@echo "make test      install what tests need, lint, type-check, run all tests"
+	@echo "make bench     compare with named peers (minutes)"
+	@echo "make validate  the paper's cups at 20 and 50 %, long proofs (minutes)"
+
+install: $(VENV)/.installed
+install-dev: $(VENV)/.installed-dev
+
+$(BIN)/python:
+	@$(PYTHON) -c 'import sys; sys.exit(0 if sys.version_info >= (3, 11) else "tomosim needs Python 3.11 or later; found " + sys.version.split()[0] + ". Name another one: make PYTHON=python3.12 ...")'
+	$(PYTHON) -m venv $(VENV)
+
+$(VENV)/.installed: $(BIN)/python requirements.lock pyproject.toml
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --require-hashes -r requirements.lock
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-deps --no-build-isolation -e .
+	@touch $@
+
+$(VENV)/.installed-dev: $(VENV)/.installed requirements-dev.lock
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --require-hashes -r requirements-dev.lock
+	@touch $@
+
+demo: install
+	$(BIN)/python -m tomosim.demo --out $(OUT) --data $(DATA) --port $(PORT)
+
+serve: install
+	$(BIN)/tomosim serve --data $(DATA) --port $(PORT)
+
+lint: install-dev
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+	$(BIN)/mypy
+	$(BIN)/lint-imports
+
+format: install-dev
+	$(BIN)/ruff check --fix .
+	$(BIN)/ruff format .
+
+test: lint
+	$(BIN)/python -m pytest $(PYTEST_ARGS)
+
+bench: install-dev
+	$(BIN)/python -m bench
+
+validate: install-dev
+	$(BIN)/python -m bench.paper_cups --data $(DATA)
+
+# Needs uv. Versions and hashes for every platform; no address of any registry.
+UV ?= uv
+COMPILE = $(UV) pip compile pyproject.toml --universal --python-version 3.11 --generate-hashes --no-emit-index-url \
+	--no-header --no-annotate --quiet --all-extras --group build
+lock:
+	$(COMPILE) --group dev --output-file requirements-dev.lock
+	sed -nE 's/^([A-Za-z0-9_.-]+)(\[[^]]*\])?(==[^\\]*)\\$$/\1\3/p' requirements-dev.lock > constraints.tmp
+	$(COMPILE) --constraint constraints.tmp --output-file requirements.lock
+	rm constraints.tmp
+
+clean:
+	rm -rf $(VENV) .mypy_cache .ruff_cache .pytest_cache
+	find . -name __pycache__ -type d -prune -exec rm -rf {} +
