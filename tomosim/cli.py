@@ -168,7 +168,7 @@ def _submit(args: argparse.Namespace) -> int:
             return 0
         try:
             with StageDisplay() as display:
-                case = client.wait(case["id"], lambda c: _show(display, c))
+                case = client.wait(case["id"], display.show_resource)
         except KeyboardInterrupt:
             print(f"tomosim: the case goes on; cancel it with POST .../{case['id']}/cancel", file=sys.stderr)
             raise
@@ -181,12 +181,6 @@ def _submit(args: argparse.Namespace) -> int:
                 print(f"{name}  {size} bytes", file=sys.stderr)
             print(f"files in {args.out}", file=sys.stderr)
     return 0
-
-
-def _show(display: Any, case: dict[str, Any]) -> None:
-    progress = case.get("progress") or {}
-    if progress.get("stage"):
-        display(progress["stage"], float(progress.get("fraction", 0.0)), progress.get("message") or case["state"])
 
 
 def _summary(manifest: dict[str, Any], out: Path) -> None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import sys
 import time
 from types import TracebackType
-from typing import Self, TextIO
+from typing import Any, Self, TextIO
 
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TaskID, TextColumn, TimeElapsedColumn
@@ -42,9 +42,17 @@ class StageDisplay:
     def __call__(self, stage: str, fraction: float, message: str, *, cached: bool = False) -> None:
         if stage in self._finished:
             return
+        for earlier in set(self._started) - self._finished - {stage}:  # one that polls may miss the end of a stage
+            self._show(earlier, 1.0, "done")
+        self._show(stage, fraction, message, cached)
+
+    def _show(self, stage: str, fraction: float, message: str, cached: bool = False) -> None:
         note = "from the store" if cached else message
         if fraction >= 1 and (cached or message == "done"):
             self._finished.add(stage)
+        now = time.monotonic()
+        first = stage not in self._started
+        start = self._started.setdefault(stage, now)
         if self._bars:
             if stage not in self._tasks:
                 self._tasks[stage] = self._bars.add_task(stage, total=1.0, message="")
@@ -52,13 +60,18 @@ class StageDisplay:
             if stage in self._finished:
                 self._bars.stop_task(self._tasks[stage])
             return
-        now = time.monotonic()
-        first = stage not in self._started
-        start = self._started.setdefault(stage, now)
         if stage in self._finished:
             self._line(f"{stage}: {note}" + ("" if cached else f" in {now - start:.1f} s"))
         elif first:
             self._line(f"{stage}: {message}")
+
+    def show_resource(self, case: dict[str, Any]) -> None:
+        """Shows the progress in a simulation resource of the service."""
+        progress = case.get("progress") or {}
+        if progress.get("stage"):
+            done = case["state"] == "succeeded"
+            fraction = 1.0 if done else float(progress.get("fraction", 0.0))
+            self(progress["stage"], fraction, "done" if done else progress.get("message") or case["state"])
 
     def _line(self, text: str) -> None:
         print(text, file=self._stream, flush=True)

@@ -1,0 +1,150 @@
+"""The whole way from specification to DICOM with a tiny breast: caching, continuing, determinism, failures."""
+
+import hashlib
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numba
+import pytest
+
+from simcore import pipeline, presets
+from simcore.core.errors import SimulationError
+from simcore.core.store import Store
+
+SPEC = presets.get("tiny")
+
+
+@pytest.fixture(scope="module")
+def first(tmp_path_factory) -> pipeline.CaseResult:
+    return pipeline.run(SPEC, Store(tmp_path_factory.mktemp("store"), min_free_bytes=0))
+
+
+def digests(folder: Path) -> dict[str, str]:
+    return {
+        p.relative_to(folder).as_posix(): hashlib.sha256(p.read_bytes()).hexdigest()
+        for p in folder.rglob("*")
+        if p.is_file()
+    }
+
+
+def test_the_manifest_tells_what_was_done(first):
+    stages = first.manifest["stages"]
+    assert [s["name"] for s in stages] == list(pipeline.STAGES)
+    for s in stages:
+        assert len(s["key"]) == 64
+        assert s["cached"] is False
+        assert s["seconds"] >= 0
+        assert s["peak_memory_bytes"] > 0
+        assert s["outputs"]
+    results = first.manifest["results"]
+    assert results["volume_ml"] == pytest.approx(SPEC.phantom.volume_ml, rel=0.01)
+    assert results["glandularity"] == pytest.approx(SPEC.phantom.glandularity, abs=0.02)
+    assert results["force_N"] > 0
+    assert 0 < results["thickness_mm"] < results["uncompressed_thickness_mm"]
+    assert results["min_det_F"] > 0
+    json.dumps(first.manifest)
+
+
+def test_all_files_are_written(first, tmp_path):
+    first.write(tmp_path)
+    names = set(digests(tmp_path))
+    views = {f"projections/{k + 1:04d}.dcm" for k in range(SPEC.acquisition.views)}
+    assert {"manifest.json", "geometry.json", "projections.dcm", "tomosynthesis.dcm", "labels.dcm", *views} <= names
+    assert any(n.startswith("preview/") and n.endswith(".png") for n in names)
+    listed = {n: ref["sha256"] for n, ref in first.manifest["files"].items()}
+    assert listed == {n: d for n, d in digests(tmp_path).items() if n != "manifest.json"}
+
+
+def test_a_second_run_computes_nothing_and_gives_the_same_files(first):
+    told = []
+    again = pipeline.run(
+        SPEC, first.store, lambda stage, fraction, message, *, cached=False: told.append((stage, cached))
+    )
+    assert again.manifest["computed_stages"] == 0
+    assert again.files == first.files
+    assert {stage for stage, cached in told if cached} == set(pipeline.STAGES)
+
+
+def test_another_acquisition_of_the_same_breast_computes_only_what_differs(first):
+    other = SPEC.with_(acquisition=SPEC.acquisition.with_(views=3))
+    result = pipeline.run(other, first.store)
+    assert [s["name"] for s in result.manifest["stages"] if s["cached"]] == ["phantom", "mesh", "fem", "warp"]
+
+
+def test_another_seed_is_another_breast(first):
+    result = pipeline.run(SPEC.with_(seed=SPEC.seed + 1), first.store)
+    assert result.manifest["computed_stages"] == len(pipeline.STAGES)
+
+
+def test_the_name_changes_no_result(first):
+    assert pipeline.run(SPEC.with_(name="another"), first.store).manifest["computed_stages"] == 0
+
+
+def test_one_and_two_threads_give_the_same_bytes(first):
+    """With the same mesh: all that follows it is forgotten and computed again with another number of threads."""
+    forget(first.store, {"phantom", "fem", "warp", "projection", "reconstruction", "dicom", "preview"})
+    before = numba.get_num_threads()
+    numba.set_num_threads(1 if before > 1 else before)
+    try:
+        again = pipeline.run(SPEC, first.store)
+    finally:
+        numba.set_num_threads(before)
+    assert [s["name"] for s in again.manifest["stages"] if s["cached"]] == ["mesh"]
+    outputs = [{s["name"]: s["outputs"] for s in m["stages"]} for m in (first.manifest, again.manifest)]
+    assert outputs[0] == outputs[1]
+
+
+def forget(store: Store, stages: set[str]) -> None:
+    for path in (store.root / "stages").rglob("*.json"):
+        if json.loads(path.read_bytes())["stage"] in stages:
+            path.unlink()
+
+
+def test_a_failing_stage_keeps_what_was_computed(first, monkeypatch):
+    def fail(*arguments, **keywords):
+        raise SimulationError("no picture today: change nothing")
+
+    forget(first.store, {"reconstruction"})
+    monkeypatch.setattr(pipeline, "reconstruct", fail)
+    with pytest.raises(SimulationError, match="no picture"):
+        pipeline.run(SPEC, first.store)
+    monkeypatch.undo()
+    result = pipeline.run(SPEC, first.store)
+    assert [s["name"] for s in result.manifest["stages"] if not s["cached"]] == ["reconstruction"]
+
+
+def test_a_killed_run_continues_after_its_last_whole_stage(first, tmp_path):
+    spec = tmp_path / "spec.json"
+    spec.write_text(SPEC.with_(seed=77).model_dump_json())
+    command = [
+        sys.executable,
+        "-m",
+        "tomosim",
+        "simulate",
+        str(spec),
+        "--out",
+        str(tmp_path / "out"),
+        "--data",
+        str(tmp_path / "data"),
+    ]
+    killed = subprocess.Popen(command, stderr=subprocess.PIPE, text=True, start_new_session=True)
+    assert killed.stderr is not None
+    for line in killed.stderr:
+        if line.startswith("fem:"):
+            break
+    os.killpg(killed.pid, signal.SIGKILL)
+    killed.wait()
+    time.sleep(0.1)
+    assert not (tmp_path / "out").exists()
+    done = subprocess.run(command, capture_output=True, text=True, check=True)
+    assert "phantom: from the store" in done.stderr
+    assert "mesh: from the store" in done.stderr
+    manifest = json.loads((tmp_path / "out" / "manifest.json").read_text())
+    cached = [s["name"] for s in manifest["stages"] if s["cached"]]
+    assert cached[:2] == ["phantom", "mesh"]
+    assert manifest["computed_stages"] == len(pipeline.STAGES) - len(cached) > 0

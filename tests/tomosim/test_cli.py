@@ -1,0 +1,83 @@
+"""The command line: what it prints, its exit codes, its messages."""
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from simcore import presets
+from simcore.spec import SimulationSpec
+
+
+def tomosim(*arguments: str, stdin: str = "", **kwargs) -> subprocess.CompletedProcess[str]:
+    return subprocess.run(
+        [sys.executable, "-m", "tomosim", *arguments],
+        input=stdin,
+        capture_output=True,
+        text=True,
+        timeout=300,
+        **kwargs,
+    )
+
+
+def test_presets_lists_one_name_a_line_in_the_first_column():
+    done = tomosim("presets")
+    assert done.returncode == 0
+    assert [line.split()[0] for line in done.stdout.splitlines()] == presets.names()
+    assert "paper-cup-c-20" in done.stdout
+
+
+def test_a_preset_is_printed_as_a_specification_to_edit():
+    done = tomosim("presets", "paper-cup-c-20")
+    assert SimulationSpec.parse(done.stdout) == presets.get("paper-cup-c-20")
+
+
+def test_an_unknown_preset_names_those_there_are():
+    done = tomosim("presets", "cup-z")
+    assert done.returncode == 2
+    assert "'cup-z'" in done.stderr
+    assert "paper-cup-c-20" in done.stderr
+
+
+def test_estimate_from_standard_input():
+    done = tomosim("estimate", "-", stdin=presets.get("tiny").model_dump_json())
+    assert done.returncode == 0
+    assert json.loads(done.stdout)["memory_bytes"] > 0
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ('{"phantom": {"voxel_mm": 0.01}}', "phantom.voxel_mm = 0.01"),
+        ('{"acquisition": {"views": 1000}}', "acquisition.views = 1000"),
+        ("{", "not valid"),
+        ('{"acquisition": {"detector": {"pixels_y": 500}}}', "at least"),
+    ],
+)
+def test_a_bad_specification_is_refused_before_anything_runs(text: str, said: str, tmp_path: Path):
+    (tmp_path / "spec.json").write_text(text)
+    done = tomosim("simulate", str(tmp_path / "spec.json"), "--out", str(tmp_path / "out"), cwd=tmp_path)
+    assert done.returncode == 2
+    assert said in done.stderr
+    assert "Traceback" not in done.stderr
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["spec.json"]
+
+
+def test_a_missing_file_says_how_to_begin(tmp_path: Path):
+    done = tomosim("simulate", "nothing.json", "--out", "out", cwd=tmp_path)
+    assert done.returncode == 2
+    assert "nothing.json" in done.stderr
+    assert "tomosim presets NAME" in done.stderr
+
+
+def test_submit_without_a_service_says_so(tmp_path: Path):
+    done = tomosim("submit", "-", "--url", "http://127.0.0.1:9", stdin=presets.get("tiny").model_dump_json())
+    assert done.returncode == 4
+    assert "tomosim serve" in done.stderr
+
+
+@pytest.mark.parametrize("arguments", [["simulate"], ["nonsense"], ["simulate", "s", "--out", "o", "--threads", "0"]])
+def test_wrong_usage_exits_with_2(arguments: list[str]):
+    assert tomosim(*arguments).returncode == 2
