@@ -124,12 +124,14 @@ def _read_spec(name: str) -> SimulationSpec:
 
 
 def _simulate(args: argparse.Namespace) -> None:
-    from simcore import estimate, pipeline
+    from simcore import estimate
     from simcore.core.store import Store
     from tomosim.console import StageDisplay
 
     spec = _read_spec(args.spec)
     estimate.check(spec)
+    from simcore import pipeline  # the kernels take a second to load: a wrong specification is told before
+
     _set_threads(args.threads)
     store = Store(args.data / "store")
     store.sweep_temporary()
