@@ -1,0 +1,220 @@
+"""What all objects share: patient, study, equipment, pixel module, private block, and how a file is written."""
+
+from __future__ import annotations
+
+import io
+import json
+from collections.abc import Iterable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from pydicom.dataset import Dataset, FileMetaDataset
+from pydicom.filewriter import dcmwrite
+from pydicom.sequence import Sequence
+from pydicom.uid import ExplicitVRLittleEndian
+from pydicom.valuerep import format_number_as_ds
+
+from simcore.core.errors import ExportError
+from simcore.dicom.identity import IMPLEMENTATION_UID, CaseDescription, Identifiers
+from simcore.dicom.spec import ExportSpec
+
+PRIVATE_GROUP = 0x0099
+PRIVATE_CREATOR = "TOMOSIM 1"
+MANUFACTURER = "tomosim (open source)"
+MODEL = "tomosim"
+
+NOT_MODELLED = "monoenergetic simulation: peak kV is the photon energy; tube load and dose not modelled, stand as 0"
+
+_VIEW_CODES = {"CC": ("399162004", "cranio-caudal"), "MLO": ("399368009", "medio-lateral oblique")}
+
+
+def item(**attributes: Any) -> Dataset:
+    """A data set from keywords and values."""
+    dataset = Dataset()
+    for keyword, value in attributes.items():
+        setattr(dataset, keyword, value)
+    return dataset
+
+
+def items(*datasets: Dataset) -> Sequence:
+    """A sequence of data sets."""
+    return Sequence(list(datasets))
+
+
+def code(value: str, scheme: str, meaning: str) -> Dataset:
+    """A coded concept."""
+    return item(CodeValue=value, CodingSchemeDesignator=scheme, CodeMeaning=meaning)
+
+
+def decimal(value: float) -> str:
+    """A number as decimal string (DS) of at most 16 characters; noise below 1e-12 and the sign of zero dropped."""
+    return str(format_number_as_ds(round(float(value), 12) + 0.0))
+
+
+def private_json(dataset: Dataset, document: dict[str, Any]) -> None:
+    """Put ``document`` as JSON text into the private block of ``dataset``."""
+    block = dataset.private_block(PRIVATE_GROUP, PRIVATE_CREATOR, create=True)
+    block.add_new(0x01, "UT", json.dumps(document, sort_keys=True))
+
+
+def date_time(spec: ExportSpec) -> str:
+    """The time of the study as DT."""
+    return f"{spec.date}{spec.time}.000000+0000"
+
+
+def patient_id(spec: ExportSpec, case: CaseDescription) -> str:
+    return f"SIM-{spec.patient_id or case.short}"
+
+
+def view_code(spec: ExportSpec) -> Sequence:
+    """View Code Sequence; the modifier sequence is required and empty."""
+    value, meaning = _VIEW_CODES[spec.view]
+    view = code(value, "SCT", meaning)
+    view.ViewModifierCodeSequence = Sequence([])
+    return items(view)
+
+
+def breast_code() -> Sequence:
+    return items(code("76752008", "SCT", "Breast"))
+
+
+def base_dataset(
+    spec: ExportSpec, case: CaseDescription, ids: Identifiers, *, sop_class: str, series: str,
+    series_number: int, description: str, modality: str, instance: int = 1,
+) -> Dataset:  # fmt: skip
+    """Patient, study, series, equipment and SOP common modules, with every mark of a synthetic object."""
+    identifier = patient_id(spec, case)
+    equipment = {
+        "Manufacturer": MANUFACTURER,
+        "ManufacturerModelName": MODEL,
+        "SoftwareVersions": case.software_version,
+    }
+    return item(
+        SpecificCharacterSet="ISO_IR 192",
+        SOPClassUID=sop_class,
+        SOPInstanceUID=ids.instance(series, instance),
+        InstanceCreationDate=spec.date,
+        InstanceCreationTime=spec.time,
+        TimezoneOffsetFromUTC="+0000",
+        SyntheticData="YES",
+        QualityControlSubject="YES",
+        PatientName=f"SYNTHETIC^{identifier}",
+        PatientID=identifier,
+        IssuerOfPatientID="TOMOSIM",
+        PatientBirthDate=f"{int(spec.date[:4]) - 50:04d}0101",
+        PatientAge="050Y",
+        PatientSex="F",
+        StudyInstanceUID=ids.study,
+        StudyID=case.identity[:16],
+        StudyDate=spec.date,
+        StudyTime=spec.time,
+        StudyDescription=spec.study_description,
+        AccessionNumber="",
+        ReferringPhysicianName="",
+        SeriesInstanceUID=ids.series(series),
+        SeriesNumber=series_number,
+        SeriesDescription=description,
+        SeriesDate=spec.date,
+        SeriesTime=spec.time,
+        Modality=modality,
+        FrameOfReferenceUID=ids.frame_of_reference,
+        PositionReferenceIndicator="",
+        InstanceNumber=instance,
+        ContentDate=spec.date,
+        ContentTime=spec.time,
+        InstitutionName="SIMULATED",
+        InstitutionAddress="none (simulation)",
+        StationName="TOMOSIM",
+        OperatorsName="SYNTHETIC^",
+        DeviceSerialNumber="0",
+        **equipment,
+        ContributingEquipmentSequence=items(
+            item(
+                **equipment,
+                PurposeOfReferenceCodeSequence=items(code("109100", "DCM", "Synthesizing Equipment")),
+                ContributionDescription="software phantom and X-ray simulation; no patient, no X-rays",
+            )
+        ),
+    )
+
+
+def window(low: float, high: float) -> dict[str, str]:
+    """Window Center and Width that show the stored values low..high."""
+    width = max(float(np.ceil(high - low)), 1.0)
+    return {"WindowCenter": decimal((low + high) / 2), "WindowWidth": decimal(width)}
+
+
+class ArrayStream(io.BufferedIOBase):
+    """A C-contiguous array as a readable binary stream: pixel data is written without a copy of it in memory."""
+
+    def __init__(self, array: NDArray[Any]) -> None:
+        if array.dtype.kind != "u" or array.dtype.str.startswith(">"):
+            raise ExportError(f"pixel data of type {array.dtype}: unsigned little-endian integers are allowed")
+        self._bytes = memoryview(np.ascontiguousarray(array).reshape(-1)).cast("B")  # type: ignore[arg-type]
+        self._position = 0
+
+    def readable(self) -> bool:
+        return True
+
+    def seekable(self) -> bool:
+        return True
+
+    def tell(self) -> int:
+        return self._position
+
+    def seek(self, offset: int, whence: int = io.SEEK_SET) -> int:
+        start = {io.SEEK_SET: 0, io.SEEK_CUR: self._position, io.SEEK_END: len(self._bytes)}[whence]
+        self._position = max(start + offset, 0)
+        return self._position
+
+    def read(self, size: int | None = -1, /) -> bytes:
+        stop = len(self._bytes) if size is None or size < 0 else self._position + size
+        chunk = bytes(self._bytes[self._position : stop])
+        self._position += len(chunk)
+        return chunk
+
+
+def set_pixels(dataset: Dataset, array: NDArray[np.uint16], bits: int) -> None:
+    """The image pixel module of uint16 frames (..., rows, columns), uncompressed and streamed on writing."""
+    dataset.SamplesPerPixel = 1
+    dataset.Rows, dataset.Columns = array.shape[-2:]
+    dataset.BitsAllocated = 16
+    dataset.BitsStored = bits
+    dataset.HighBit = bits - 1
+    dataset.PixelRepresentation = 0
+    dataset.add_new(0x7FE00010, "OW", ArrayStream(array))
+
+
+def write(path: Path, dataset: Dataset, case: CaseDescription, transfer_syntax: str = ExplicitVRLittleEndian) -> None:
+    """Write a complete DICOM file; nothing in it depends on the clock or the machine."""
+    meta = FileMetaDataset()
+    meta.MediaStorageSOPClassUID = dataset.SOPClassUID
+    meta.MediaStorageSOPInstanceUID = dataset.SOPInstanceUID
+    meta.TransferSyntaxUID = transfer_syntax
+    meta.ImplementationClassUID = IMPLEMENTATION_UID
+    meta.ImplementationVersionName = f"TOMOSIM_{case.software_version}"[:16]
+    dataset.file_meta = meta
+    with open(path, "wb", buffering=1 << 20) as file:
+        dcmwrite(file, dataset, enforce_file_format=True)
+
+
+def functional_groups(**macros: Dataset | Iterable[Dataset]) -> Dataset:
+    """One item of a functional groups sequence: each keyword (without ``Sequence``) becomes a sequence."""
+    groups = Dataset()
+    for name, content in macros.items():
+        setattr(groups, f"{name}Sequence", items(*([content] if isinstance(content, Dataset) else content)))
+    return groups
+
+
+def dimensions(dataset: Dataset, uid: str, *indices: tuple[int, int | None, str]) -> None:
+    """Multi-frame dimension module: (attribute tag, functional group tag, label) of every index."""
+    dataset.DimensionOrganizationSequence = items(item(DimensionOrganizationUID=uid))
+    entries = []
+    for pointer, group, label in indices:
+        entry = item(DimensionOrganizationUID=uid, DimensionIndexPointer=pointer, DimensionDescriptionLabel=label)
+        if group is not None:
+            entry.FunctionalGroupPointer = group
+        entries.append(entry)
+    dataset.DimensionIndexSequence = Sequence(entries)

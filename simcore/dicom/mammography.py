@@ -1,0 +1,91 @@
+"""Projections in the form that every reader knows: Digital Mammography X-Ray Image - For Processing, a file a view.
+
+The geometry of a view stands twice: by the beam vector (distance and positioner angle to the middle of the
+chest-wall edge of the detector, both different in every view; detector angles), as the mammography module has it,
+and complete in an Isocenter Reference System Sequence, an addition from the Breast Projection object.
+"""
+
+from __future__ import annotations
+
+from pydicom.dataset import Dataset
+from pydicom.uid import DigitalMammographyXRayImageStorageForProcessing
+
+from simcore.dicom.common import breast_code, date_time, decimal, items, set_pixels
+from simcore.dicom.geometry import isocenter_item, source_distance
+from simcore.dicom.study import (
+    MAMMOGRAPHY,
+    Study,
+    detector_size,
+    set_breast_image,
+    set_compression,
+    set_detector,
+    set_no_dose,
+    set_source,
+)
+
+
+def mammography_image(study: Study, view: int) -> Dataset:
+    """The image of one view (0-based); Instance Number is view + 1."""
+    dataset = study.dataset(MAMMOGRAPHY, DigitalMammographyXRayImageStorageForProcessing, "MG", view + 1)
+    _describe_image(dataset, study)
+    _describe_position(dataset, study, view)
+    set_detector(dataset, study)
+    _describe_field(dataset, study)
+    set_compression(dataset, study)
+    set_source(dataset, study)
+    set_no_dose(dataset)
+    dataset.IrradiationEventUID = study.ids.irradiation_event
+    study.add_private(dataset, "projection", view=view)
+    set_pixels(dataset, study.stack.data[view], study.case.detector_bits)
+    return dataset
+
+
+def _describe_image(dataset: Dataset, study: Study) -> None:
+    set_breast_image(dataset, study)
+    dataset.PresentationIntentType = "FOR PROCESSING"
+    dataset.ImageType = ["ORIGINAL", "PRIMARY", "TOMO_PROJ"]
+    dataset.AcquisitionDate = study.spec.date
+    dataset.AcquisitionTime = study.spec.time
+    dataset.AcquisitionDateTime = date_time(study.spec)
+    dataset.AcquisitionNumber = 1
+    dataset.ImagesInAcquisition = study.stack.geometry.views
+    dataset.ImageLaterality = study.spec.laterality
+    dataset.PatientOrientation = study.frames.patient_orientation()
+    dataset.ViewPosition = study.spec.view
+    dataset.BodyPartExamined = "BREAST"
+    dataset.OrganExposed = "BREAST"
+    dataset.AnatomicRegionSequence = breast_code()
+    dataset.PixelIntensityRelationship = "LIN"
+    dataset.PixelIntensityRelationshipSign = 1
+    dataset.RescaleIntercept = "0"
+    dataset.RescaleSlope = "1"
+    dataset.RescaleType = "US"
+    dataset.PhotometricInterpretation = "MONOCHROME1"
+    dataset.PresentationLUTShape = "INVERSE"
+    dataset.PixelPaddingValue = 0
+
+
+def _describe_position(dataset: Dataset, study: Study, view: int) -> None:
+    beam = study.beam(view)
+    dataset.PositionerType = "MAMMOGRAPHIC"
+    dataset.PositionerPrimaryAngle = decimal(beam.primary)
+    dataset.PositionerPrimaryAngleDirection = "CC"
+    dataset.PositionerSecondaryAngle = decimal(beam.secondary)
+    dataset.DetectorPrimaryAngle = decimal(beam.row)
+    dataset.DetectorSecondaryAngle = decimal(beam.column)
+    dataset.DistanceSourceToDetector = decimal(beam.length)
+    dataset.DistanceSourceToPatient = decimal(beam.support)
+    dataset.DistanceSourceToEntrance = decimal(beam.entrance)
+    dataset.EstimatedRadiographicMagnificationFactor = decimal(beam.magnification)
+    dataset.DistanceSourceToIsocenter = source_distance(study.frames, view)
+    dataset.IsocenterReferenceSystemSequence = items(isocenter_item(study.frames, view))
+
+
+def _describe_field(dataset: Dataset, study: Study) -> None:
+    edge = decimal(study.stack.geometry.detector.pixel)
+    dataset.ImagerPixelSpacing = [edge, edge]
+    dataset.FieldOfViewShape = "RECTANGLE"
+    dataset.FieldOfViewDimensions = [round(size) for size in detector_size(study)]
+    dataset.FieldOfViewOrigin = ["0", "0"]
+    dataset.FieldOfViewRotation = "0"
+    dataset.FieldOfViewHorizontalFlip = "NO"

@@ -1,0 +1,141 @@
+"""Tissue labels at the voxel centres of another grid, as frames in the RLE lossless encoding of DICOM.
+
+One pass, slice by slice: sampling, run lengths and the tissues met; the sampled volume itself is never held.
+"""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+from numba import njit, prange
+from numpy.typing import NDArray
+
+from simcore.core.artifacts import Phantom
+from simcore.core.grid import Grid
+
+_HEADER = struct.pack("<16L", 1, 64, *[0] * 14)
+"""Header of an RLE frame of 8-bit pixels: one segment, which starts right after the header (PS3.5 annex G)."""
+
+
+@dataclass(frozen=True)
+class Lookup:
+    """Nearest voxel of one axis: index of the source voxel for every target voxel, -1 outside the source.
+
+    z, y, x: int64, one entry a target voxel along that axis.
+    """
+
+    z: NDArray[np.int64]
+    y: NDArray[np.int64]
+    x: NDArray[np.int64]
+
+
+def nearest(source: Grid, target: Grid) -> Lookup:
+    """The source voxel that holds the centre of each target voxel; both grids in one frame."""
+    found = []
+    for axis in "zyx":
+        i = "xyz".index(axis)
+        count = source.shape[2 - i]
+        index = np.floor((target.centres(axis) - source.corner[i]) / source.spacing[i]).astype(np.int64)
+        found.append(np.where((index >= 0) & (index < count), index, -1))
+    return Lookup(*found)
+
+
+def sample(phantom: Phantom, lookup: Lookup, step: tuple[int, int, int] = (1, 1, 1)) -> NDArray[np.uint8]:
+    """Labels at every ``step``-th (z, y, x) target voxel; air (0) outside the phantom."""
+    z, y, x = lookup.z[:: step[0]], lookup.y[:: step[1]], lookup.x[:: step[2]]
+    labels = phantom.labels[np.ix_(z, y, x)]
+    inside = (z >= 0)[:, None, None] & (y >= 0)[:, None] & (x >= 0)
+    return np.where(inside, labels, 0).astype(np.uint8)
+
+
+@njit(cache=True)
+def _pack_row(row: NDArray[np.uint8], packed: NDArray[np.uint8]) -> int:
+    """PackBits of one row; returns the number of bytes. Runs of three and more are replicated, the rest literal."""
+    n = row.size
+    i = 0
+    size = 0
+    while i < n:
+        run = 1
+        while i + run < n and run < 128 and row[i + run] == row[i]:
+            run += 1
+        if run >= 3 or (run == 2 and i + run == n):
+            packed[size] = 257 - run
+            packed[size + 1] = row[i]
+            size += 2
+            i += run
+            continue
+        start = i
+        while i < n and i - start < 128:
+            if i + 2 < n and row[i] == row[i + 1] and row[i] == row[i + 2]:
+                break
+            i += 1
+        packed[size] = i - start - 1
+        size += 1
+        for k in range(start, i):
+            packed[size] = row[k]
+            size += 1
+    return size
+
+
+@njit(cache=True, parallel=True)
+def _encode_plane(
+    labels: NDArray[np.uint8],
+    y: NDArray[np.int64],
+    x: NDArray[np.int64],
+    packed: NDArray[np.uint8],
+    sizes: NDArray[np.int64],
+    met: NDArray[np.uint32],
+) -> None:
+    """Sample one plane (ny, nx) of labels and pack its rows: row j into packed[j, :sizes[j]], tissues as bits."""
+    for j in prange(y.size):
+        row = np.zeros(x.size, np.uint8)
+        bits = np.uint32(0)
+        if y[j] >= 0:
+            for i in range(x.size):
+                if x[i] >= 0:
+                    row[i] = labels[y[j], x[i]]
+                bits |= np.uint32(1) << np.uint32(row[i])
+        met[j] |= bits
+        sizes[j] = _pack_row(row, packed[j])
+
+
+@njit(cache=True)
+def _join_rows(packed: NDArray[np.uint8], sizes: NDArray[np.int64], joined: NDArray[np.uint8]) -> None:
+    start = 0
+    for j in range(sizes.size):
+        joined[start : start + sizes[j]] = packed[j, : sizes[j]]
+        start += sizes[j]
+
+
+@dataclass(frozen=True)
+class EncodedLabels:
+    """Label frames, RLE-encoded, one a slice of the target grid; tissues: the label values met, air left out."""
+
+    frames: tuple[bytes, ...]
+    tissues: tuple[int, ...]
+
+
+def encode_labels(phantom: Phantom, lookup: Lookup) -> EncodedLabels:
+    """Sample the phantom on the target grid of ``lookup`` and encode every slice.
+
+    Label values of 32 and above are not allowed (core.tissues.MAX_TISSUES is 16).
+    """
+    met = np.zeros(lookup.y.size, np.uint32)
+    frames = tuple(_frames(phantom, lookup, met))
+    bits = int(np.bitwise_or.reduce(met))
+    return EncodedLabels(frames, tuple(value for value in range(1, 32) if bits >> value & 1))
+
+
+def _frames(phantom: Phantom, lookup: Lookup, met: NDArray[np.uint32]) -> Iterator[bytes]:
+    rows, columns = lookup.y.size, lookup.x.size
+    packed = np.empty((rows, columns + columns // 128 + 2), np.uint8)
+    sizes = np.empty(rows, np.int64)
+    outside = np.full(rows, -1, np.int64)
+    for k in lookup.z:
+        _encode_plane(phantom.labels[max(k, 0)], lookup.y if k >= 0 else outside, lookup.x, packed, sizes, met)
+        joined = np.empty(int(sizes.sum()), np.uint8)
+        _join_rows(packed, sizes, joined)
+        yield _HEADER + joined.tobytes() + b"\0" * (joined.size % 2)

@@ -1,0 +1,157 @@
+"""The study that all objects of one export belong to, and the acquisition attributes they share."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from pydicom.dataset import Dataset
+
+from simcore.core.artifacts import ProjectionStack
+from simcore.dicom.common import NOT_MODELLED, base_dataset, breast_code, decimal, private_json, view_code
+from simcore.dicom.geometry import Beam, Frames, beam, gantry_angle
+from simcore.dicom.identity import CaseDescription, Identifiers
+from simcore.dicom.spec import ExportSpec
+
+MAMMOGRAPHY = "projections, one file a view"
+BREAST_PROJECTION = "projections, multi-frame"
+TOMOSYNTHESIS = "reconstruction"
+LABELS = "tissue labels"
+
+SERIES_NUMBERS = {MAMMOGRAPHY: 1, BREAST_PROJECTION: 2, TOMOSYNTHESIS: 3, LABELS: 4}
+
+
+@dataclass(frozen=True)
+class Study:
+    """What every object of one export needs to know.
+
+    thickness: distance of the plates, mm; force: N.
+    projection_window, volume_window: stored values (low, high) that show the breast.
+    """
+
+    spec: ExportSpec
+    case: CaseDescription
+    ids: Identifiers
+    stack: ProjectionStack
+    thickness: float
+    force: float
+    projection_window: tuple[float, float]
+    volume_window: tuple[float, float]
+
+    @property
+    def frames(self) -> Frames:
+        return Frames(self.stack.geometry, gantry_angle(self.spec))
+
+    def beam(self, view: int) -> Beam:
+        return beam(self.frames, view, self.thickness)
+
+    def dataset(self, series: str, sop_class: str, modality: str, instance: int = 1) -> Dataset:
+        """A new object of a series with all that is common."""
+        return base_dataset(
+            self.spec,
+            self.case,
+            self.ids,
+            sop_class=sop_class,
+            series=series,
+            series_number=SERIES_NUMBERS[series],
+            description=f"SYNTHETIC {series}",
+            modality=modality,
+            instance=instance,
+        )
+
+    def add_private(self, dataset: Dataset, schema: str, **facts: Any) -> None:
+        """The private block: what the standard does not carry, and the geometry in plain words.
+
+        The signal is open_field x I / I0 + offset with an ideal flat field.
+        """
+        private_json(
+            dataset,
+            {
+                "schema": f"tomosim-{schema}/1",
+                "identity": self.case.identity,
+                "seed": self.case.seed,
+                "software_version": self.case.software_version,
+                "energy_keV": self.case.energy_keV,
+                "open_field": float(self.stack.open_field),
+                "offset": 0.0,
+                "flat_field": "ideal",
+                "geometry": self.stack.geometry.to_dict(),
+                **facts,
+            },
+        )
+
+
+def set_detector(dataset: Dataset, study: Study) -> None:
+    """Digital X-Ray Detector macro of the simulated detector."""
+    detector = study.stack.geometry.detector
+    edge = decimal(detector.pixel)
+    dataset.DetectorType = "DIRECT"
+    dataset.DetectorConfiguration = "AREA"
+    dataset.DetectorID = "SIMULATED"
+    dataset.DetectorDescription = "SIMULATED flat detector"
+    dataset.DateOfLastDetectorCalibration = study.spec.date
+    dataset.TimeOfLastDetectorCalibration = study.spec.time
+    dataset.DetectorBinning = ["1", "1"]
+    dataset.DetectorElementPhysicalSize = [edge, edge]
+    dataset.DetectorElementSpacing = [edge, edge]
+    dataset.DetectorActiveShape = "RECTANGLE"
+    dataset.DetectorActiveDimensions = [decimal(size) for size in detector_size(study)]
+    dataset.DetectorActiveOrigin = ["0", "0"]
+
+
+def detector_size(study: Study) -> tuple[float, float]:
+    """Edges of the detector along the column (y) and along the row (x), mm, as DICOM orders them."""
+    detector = study.stack.geometry.detector
+    return detector.ny * detector.pixel, detector.nx * detector.pixel
+
+
+def set_compression(dataset: Dataset, study: Study) -> None:
+    """Thickness [mm] and force [N] of the compressed breast."""
+    dataset.BodyPartThickness = decimal(study.thickness)
+    dataset.CompressionForce = decimal(study.force)
+    dataset.PaddleDescription = "SIMULATED FLAT PADDLE"
+
+
+def set_source(dataset: Dataset, study: Study) -> None:
+    """The monoenergetic point source: no anode, no filter, no exposure."""
+    dataset.KVP = decimal(study.case.energy_keV)
+    dataset.FocalSpots = "0"
+    dataset.AnodeTargetMaterial = "SIMULATED"
+    dataset.FilterType = "NONE"
+    dataset.Grid = "NONE"
+
+
+def set_no_dose(dataset: Dataset) -> None:
+    """Dose and beam quality stand as zero, which no exposure has: they are not modelled."""
+    dataset.OrganDose = "0"
+    dataset.EntranceDoseInmGy = "0"
+    dataset.HalfValueLayer = "0"
+    dataset.ExposureControlMode = "MANUAL"
+    dataset.ExposureControlModeDescription = NOT_MODELLED
+
+
+def set_breast_image(dataset: Dataset, study: Study) -> None:
+    """Quality control mark, view and breast attributes that every breast image has."""
+    dataset.QualityControlImage = "YES"
+    dataset.BurnedInAnnotation = "NO"
+    dataset.LossyImageCompression = "00"
+    dataset.BreastImplantPresent = "NO"
+    dataset.PartialView = "NO"
+    dataset.ViewCodeSequence = view_code(study.spec)
+    dataset.AcquisitionContextSequence = []
+
+
+def frame_anatomy(study: Study) -> Dataset:
+    """Item of the Frame Anatomy macro."""
+    anatomy = Dataset()
+    anatomy.AnatomicRegionSequence = breast_code()
+    anatomy.FrameLaterality = study.spec.laterality
+    return anatomy
+
+
+def breast_window(values: NDArray[np.uint16]) -> tuple[float, float]:
+    """Stored values between which nearly all of a breast lies: 0.5 % and 99.5 % of ``values`` (any shape)."""
+    low, high = np.percentile(values, (0.5, 99.5))
+    return float(low), float(max(high, low + 1.0))

@@ -1,0 +1,243 @@
+"""The reconstructed volume: Breast Tomosynthesis Image, multi-frame, one frame a slice from the support upwards."""
+
+from __future__ import annotations
+
+from pydicom.dataset import Dataset
+from pydicom.sequence import Sequence
+from pydicom.uid import BreastTomosynthesisImageStorage
+
+from simcore.core.artifacts import Volume
+from simcore.core.grid import Grid
+from simcore.dicom import breast_projection
+from simcore.dicom.common import (
+    MANUFACTURER,
+    MODEL,
+    NOT_MODELLED,
+    code,
+    date_time,
+    decimal,
+    dimensions,
+    functional_groups,
+    item,
+    items,
+    set_pixels,
+    window,
+)
+from simcore.dicom.geometry import PATIENT_TO_GANTRY
+from simcore.dicom.study import (
+    BREAST_PROJECTION,
+    SERIES_NUMBERS,
+    TOMOSYNTHESIS,
+    Study,
+    detector_size,
+    frame_anatomy,
+    set_breast_image,
+    set_compression,
+    set_no_dose,
+    set_source,
+)
+
+IMAGE_TYPE = ["DERIVED", "PRIMARY", "TOMOSYNTHESIS", "NONE"]
+
+
+def tomosynthesis_image(study: Study, volume: Volume) -> Dataset:
+    """The volume as it is stored, with the map of its values to 1/mm."""
+    dataset = study.dataset(TOMOSYNTHESIS, BreastTomosynthesisImageStorage, "MG")
+    slices = volume.grid.shape[0]
+    set_breast_image(dataset, study)
+    dataset.ImageType = IMAGE_TYPE
+    dataset.PixelPresentation = "MONOCHROME"
+    dataset.VolumetricProperties = "VOLUME"
+    dataset.VolumeBasedCalculationTechnique = "TOMOSYNTHESIS"
+    dataset.ContentQualification = "RESEARCH"
+    dataset.RecognizableVisualFeatures = "NO"
+    dataset.PhotometricInterpretation = "MONOCHROME2"
+    dataset.PresentationLUTShape = "IDENTITY"
+    dataset.ImageToEquipmentMappingMatrix = [decimal(value) for value in PATIENT_TO_GANTRY]
+    dataset.EquipmentCoordinateSystemIdentification = "ISOCENTER"
+    dataset.SourceIrradiationEventSequence = items(item(IrradiationEventUID=study.ids.irradiation_event))
+    dataset.ContributingSourcesSequence = items(_contributing_source(study))
+    dataset.XRay3DAcquisitionSequence = items(_acquisition(study))
+    dataset.XRay3DReconstructionSequence = items(
+        item(
+            ApplicationName=MODEL,
+            ApplicationVersion=study.case.software_version,
+            ApplicationManufacturer=MANUFACTURER,
+            AlgorithmType=study.case.reconstruction_kind,
+            AlgorithmDescription=study.case.reconstruction,
+            AcquisitionIndex=[1],
+        )
+    )
+    dataset.NumberOfFrames = slices
+    dataset.RepresentativeFrameNumber = slices // 2 + 1
+    dataset.DimensionOrganizationType = "3D"
+    dimensions(
+        dataset,
+        study.ids.uid("dimensions", TOMOSYNTHESIS),
+        (0x00209056, 0x00209111, "Stack ID"),
+        (0x00209057, 0x00209111, "In-Stack Position Number"),
+    )
+    dataset.SharedFunctionalGroupsSequence = items(_shared_groups(study, volume))
+    dataset.PerFrameFunctionalGroupsSequence = Sequence([_frame_groups(study, volume.grid, k) for k in range(slices)])
+    study.add_private(
+        dataset,
+        "volume",
+        grid=volume.grid.to_dict(),
+        value_slope=volume.slope,
+        value_intercept=volume.intercept,
+        value_unit="1/mm",
+    )
+    set_pixels(dataset, volume.data, 16)
+    return dataset
+
+
+def plane_groups(study: Study, grid: Grid) -> dict[str, Dataset]:
+    """Pixel measures and orientation of every slice of ``grid``."""
+    sx, sy, sz = (decimal(spacing) for spacing in grid.spacing)
+    return {
+        "PixelMeasures": item(PixelSpacing=[sy, sx], SliceThickness=sz, SpacingBetweenSlices=sz),
+        "PlaneOrientation": item(ImageOrientationPatient=study.frames.image_orientation()),
+    }
+
+
+def _projection_reference(study: Study) -> Dataset:
+    return item(
+        ReferencedSOPClassUID=breast_projection.SOP_CLASS,
+        ReferencedSOPInstanceUID=study.ids.instance(BREAST_PROJECTION),
+    )
+
+
+def _contributing_source(study: Study) -> Dataset:
+    geometry = study.stack.geometry
+    edge = decimal(geometry.detector.pixel)
+    instance = _projection_reference(study)
+    instance.InstanceNumber = 1
+    series = item(
+        SeriesInstanceUID=study.ids.series(BREAST_PROJECTION),
+        SeriesNumber=SERIES_NUMBERS[BREAST_PROJECTION],
+        ReferencedInstanceSequence=items(instance),
+    )
+    reference = item(StudyInstanceUID=study.ids.study, ReferencedSeriesSequence=items(series))
+    return item(
+        AcquisitionDateTime=date_time(study.spec),
+        Manufacturer=MANUFACTURER,
+        ManufacturerModelName=MODEL,
+        DeviceSerialNumber="0",
+        SoftwareVersions=study.case.software_version,
+        DetectorType="DIRECT",
+        DetectorID="SIMULATED",
+        DateOfLastDetectorCalibration=study.spec.date,
+        TimeOfLastDetectorCalibration=study.spec.time,
+        DetectorElementSpacing=[edge, edge],
+        Rows=geometry.detector.ny,
+        Columns=geometry.detector.nx,
+        BitsStored=study.case.detector_bits,
+        LossyImageCompression="00",
+        ContributingSOPInstancesReferenceSequence=items(reference),
+    )
+
+
+def _acquisition(study: Study) -> Dataset:
+    geometry = study.stack.geometry
+    central = study.beam(geometry.views // 2)
+    primary = [study.beam(view).primary for view in range(geometry.views)]
+    acquisition = item(
+        SourceImageSequence=items(_projection_reference(study)),
+        DistanceSourceToDetector=decimal(geometry.source_to_detector),
+        DistanceSourceToPatient=decimal(geometry.source_to_detector - geometry.support_height),
+        EstimatedRadiographicMagnificationFactor=decimal(central.magnification),
+        FieldOfViewShape="RECTANGLE",
+        FieldOfViewDimensionsInFloat=list(detector_size(study)),
+        FieldOfViewOrigin=["0", "0"],
+        FieldOfViewRotation="0",
+        FieldOfViewHorizontalFlip="NO",
+        FilterMaterial="NONE",
+        DetectorTemperature="0",
+        DetectorBinning=["1", "1"],
+        XRayReceptorType="DIGITAL_DETECTOR",
+        ExposureInmAs=0.0,
+        ExposureTimeInms=0.0,
+        XRayTubeCurrentInmA=0.0,
+        PrimaryPositionerScanStartAngle=primary[0],
+        PrimaryPositionerScanArc=primary[-1] - primary[0],
+        StartAcquisitionDateTime=date_time(study.spec),
+        EndAcquisitionDateTime=date_time(study.spec),
+        PerProjectionAcquisitionSequence=Sequence(
+            [_projection_acquisition(study, view) for view in range(geometry.views)]
+        ),
+    )
+    set_source(acquisition, study)
+    set_compression(acquisition, study)
+    set_no_dose(acquisition)
+    return acquisition
+
+
+def _projection_acquisition(study: Study, view: int) -> Dataset:
+    beam = study.beam(view)
+    detector = study.stack.geometry.detector
+    return item(
+        KVP=decimal(study.case.energy_keV),
+        RelativeXRayExposure=0,
+        PositionerPrimaryAngle=decimal(beam.primary),
+        PositionerPrimaryAngleDirection="CC",
+        PositionerSecondaryAngle=decimal(beam.secondary),
+        ExposureTimeInms=0.0,
+        XRayTubeCurrentInmA=0.0,
+        ExposureInmAs=0.0,
+        FrameAcquisitionDuration=0.0,
+        CollimatorShape="RECTANGULAR",
+        CollimatorLeftVerticalEdge=1,
+        CollimatorRightVerticalEdge=detector.nx,
+        CollimatorUpperHorizontalEdge=1,
+        CollimatorLowerHorizontalEdge=detector.ny,
+        IrradiationEventUID=study.ids.irradiation_event,
+    )
+
+
+def _shared_groups(study: Study, volume: Volume) -> Dataset:
+    source = _projection_reference(study)
+    source.PurposeOfReferenceCodeSequence = items(code("121322", "DCM", "Source image for image processing operation"))
+    derivation = item(
+        DerivationDescription=f"{study.case.reconstruction}; {NOT_MODELLED}",
+        DerivationCodeSequence=items(code("TOMORECON", "99TOMOSIM", "Tomosynthesis reconstruction")),
+        SourceImageSequence=items(source),
+    )
+    values = item(
+        RealWorldValueFirstValueMapped=0,
+        RealWorldValueLastValueMapped=65535,
+        RealWorldValueIntercept=float(volume.intercept),
+        RealWorldValueSlope=float(volume.slope),
+        LUTExplanation="linear attenuation coefficient",
+        LUTLabel="MU",
+        MeasurementUnitsCodeSequence=items(code("/mm", "UCUM", "/millimeter")),
+    )
+    return functional_groups(
+        **plane_groups(study, volume.grid),
+        FrameAnatomy=frame_anatomy(study),
+        PixelValueTransformation=item(RescaleIntercept="0", RescaleSlope="1", RescaleType="US"),
+        FrameVOILUT=item(**window(*study.volume_window), VOILUTFunction="LINEAR"),
+        DerivationImage=derivation,
+        RealWorldValueMapping=values,
+    )
+
+
+def _frame_groups(study: Study, grid: Grid, k: int) -> Dataset:
+    return functional_groups(
+        FrameContent=item(
+            StackID="1",
+            InStackPositionNumber=k + 1,
+            DimensionIndexValues=[1, k + 1],
+            FrameAcquisitionDateTime=date_time(study.spec),
+            FrameReferenceDateTime=date_time(study.spec),
+            FrameAcquisitionDuration=0.0,
+        ),
+        # Validators do not take this macro from the shared groups.
+        XRay3DFrameType=item(
+            FrameType=IMAGE_TYPE,
+            PixelPresentation="MONOCHROME",
+            VolumetricProperties="VOLUME",
+            VolumeBasedCalculationTechnique="TOMOSYNTHESIS",
+            ReconstructionIndex=1,
+        ),
+        PlanePosition=item(ImagePositionPatient=study.frames.image_position(grid, k)),
+    )
