@@ -25,12 +25,18 @@ class CompartmentSpec(Spec):
 
     count: int = Field(450, ge=20, le=5000, description="number of compartments, all kinds together [1]")
     subcutaneous_fraction: float = quantity(
-        "thickness of the subcutaneous adipose layer, as a fraction of the local radius", unit="1",
-        default=0.20, ge=0.0, le=0.6,
+        "thickness of the subcutaneous adipose layer, as a fraction of the local radius",
+        unit="1",
+        default=0.20,
+        ge=0.0,
+        le=0.6,
     )
     retromammary_mm: float = quantity(
-        "mean thickness of the retromammary adipose layer in front of the chest wall", unit="mm",
-        default=8.0, ge=0.0, le=40.0,
+        "mean thickness of the retromammary adipose layer in front of the chest wall",
+        unit="mm",
+        default=8.0,
+        ge=0.0,
+        le=40.0,
     )
     max_axis_ratio: float = quantity("largest axis ratio of a compartment", unit="1", default=3.0, ge=1.0, le=4.0)
     ligament_mm: float = quantity("thickness of the Cooper's ligaments", unit="mm", default=0.4, ge=0.0, le=2.0)
@@ -46,7 +52,10 @@ class AnthropomorphicPhantom(Spec):
     glandularity: float = quantity(
         "volume of fibroglandular tissue (with the ligaments left out) over the volume of all tissue but the skin; "
         "met within 0.02",
-        unit="1", default=0.30, ge=0.0, le=0.9,
+        unit="1",
+        default=0.30,
+        ge=0.0,
+        le=0.9,
     )
     voxel_mm: float = quantity("voxel edge", unit="mm", default=0.2, ge=0.05, le=5.0)
     skin_mm: float = quantity("skin thickness", unit="mm", default=1.45, ge=0.0, le=5.0)
