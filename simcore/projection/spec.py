@@ -17,8 +17,11 @@ class DetectorSpec(Spec):
     pixel_mm: float = quantity("pixel edge", unit="mm", default=0.1, ge=0.02, le=5.0)
     bits: int = Field(16, ge=10, le=16, description="bits stored of a pixel value [1]")
     open_field_value: float = quantity(
-        "pixel value where nothing is in the beam; pixel value = open_field_value x I / I0, rounded", unit="1",
-        default=60000.0, ge=100.0, le=65535.0,
+        "pixel value where nothing is in the beam; pixel value = open_field_value x I / I0, rounded",
+        unit="1",
+        default=60000.0,
+        ge=100.0,
+        le=65535.0,
     )
 
 
@@ -37,7 +40,10 @@ class AcquisitionSpec(Spec):
     views: int = Field(15, ge=1, le=101, description="number of views, equiangular over the range [1]")
     detector_range_degrees: float = quantity(
         "angle the detector turns through in all, in the sense of the tube; 0 for a stationary detector",
-        unit="degree", default=0.0, ge=0.0, le=60.0,
+        unit="degree",
+        default=0.0,
+        ge=0.0,
+        le=60.0,
     )
     air_gap_mm: float = quantity(
         "top of the breast support above the detector surface", unit="mm", default=20.0, ge=0.0, le=300.0
@@ -59,7 +65,12 @@ class PhysicsSpec(Spec):
         "exact",
         description="exact: intersection length of ray and voxel; trilinear: the paper's interpolated samples",
     )
-    step_voxels: Annotated[float, Field(
-        gt=0.0, lt=0.5, json_schema_extra={"unit": "1"},
-        description="distance of the samples of the trilinear sampling in voxel edges (Shannon: below 0.5) [1]",
-    )] = 0.45
+    step_voxels: Annotated[
+        float,
+        Field(
+            gt=0.0,
+            lt=0.5,
+            json_schema_extra={"unit": "1"},
+            description="distance of the samples of the trilinear sampling in voxel edges (Shannon: below 0.5) [1]",
+        ),
+    ] = 0.45

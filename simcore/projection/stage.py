@@ -1,0 +1,86 @@
+"""The stage: a compressed phantom and an acquisition in, the detector's signal out."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from simcore.core.artifacts import Phantom, ProjectionStack
+from simcore.core.errors import GeometryError
+from simcore.core.progress import Progress, silent
+from simcore.core.tissues import Tissue
+from simcore.projection import coverage
+from simcore.projection.acquisition import geometry_of
+from simcore.projection.integrals import line_integrals
+from simcore.projection.materials import attenuation_table
+from simcore.projection.signal import pixel_values
+from simcore.projection.spec import AcquisitionSpec, PhysicsSpec
+
+
+def project(
+    phantom: Phantom, acquisition: AcquisitionSpec, physics: PhysicsSpec, progress: Progress = silent
+) -> ProjectionStack:
+    """Monoenergetic primary projections: pixel = round(open_field_value exp(-sum mu dr)).
+
+    phantom: in the support frame (z = 0 on the top of the breast support); lifted by acquisition.air_gap_mm.
+    returns: one view per angle. report: rays, max_line_integral, min_pixel_value, attenuation (name of the table),
+        mu_per_mm {tissue: value}, sampling, truncated, shadow_mm.
+    raises: GeometryError where source, phantom and detector are not in this order along z, where the open field does
+        not fit into the bits stored, or where the shadow leaves the detector and truncation is refused.
+    """
+    geometry = geometry_of(acquisition)
+    coverage.check_geometry(geometry, phantom.grid.moved(z=geometry.support_height))
+    bits, open_field = acquisition.detector.bits, acquisition.detector.open_field_value
+    if open_field > 2**bits - 1:
+        raise GeometryError(
+            f"open_field_value = {open_field:g} does not fit into {bits} bits; at most {2**bits - 1}",
+            code="open-field-too-large",
+        )
+    mu = attenuation_table(physics.attenuation)
+    ends = coverage.row_ends(phantom.labels, mu)
+    shadows = coverage.shadows(ends, phantom.grid.moved(z=geometry.support_height), geometry)
+    beyond = coverage.truncation(shadows, geometry)
+    if beyond and acquisition.truncation == "refuse":
+        raise GeometryError(
+            f"the breast's shadow reaches beyond the detector: {beyond}; take a larger detector or a smaller "
+            f'angular_range_degrees ({acquisition.angular_range_degrees:g}), or set truncation to "allow"',
+            code="truncated",
+        )
+    detector = geometry.detector
+    data = np.empty((geometry.views, detector.ny, detector.nx), np.uint16)
+    integrals = np.empty((detector.ny, detector.nx), np.float32)
+    largest = 0.0
+    for view in range(geometry.views):
+        progress(view / geometry.views, f"view {view + 1} of {geometry.views}")
+        line_integrals(
+            phantom, geometry, view, mu,
+            sampling=physics.sampling, step_voxels=physics.step_voxels, ends=ends, out=integrals,
+        )  # fmt: skip
+        largest = max(largest, float(integrals.max()))
+        pixel_values(integrals, open_field, bits, data[view])
+    progress(1.0, "projected")
+    return ProjectionStack(
+        data=data,
+        open_field=open_field,
+        geometry=geometry,
+        report={
+            "rays": data.size,
+            "max_line_integral": largest,
+            "min_pixel_value": int(data.min()),
+            "attenuation": physics.attenuation,
+            "mu_per_mm": {tissue.name.lower(): float(mu[tissue]) for tissue in Tissue},
+            "sampling": physics.sampling,
+            "truncated": bool(beyond),
+            "shadow_mm": _bounds(shadows),
+        },
+    )
+
+
+def _bounds(shadows: list[coverage.Shadow]) -> dict[str, float] | None:
+    """Bounds of all shadows in detector coordinates; None without any tissue."""
+    if not shadows:
+        return None
+    return {
+        "y_min": round(min(s.y_min for s in shadows), 3),
+        "y_max": round(max(s.y_max for s in shadows), 3),
+        "x_max": round(max(s.x_max for s in shadows), 3),
+    }
