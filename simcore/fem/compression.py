@@ -1,0 +1,42 @@
+"""The compression stage."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from simcore.core.artifacts import Compression, Phantom, TetMesh
+from simcore.core.errors import SolverError
+from simcore.core.progress import Progress, part
+from simcore.fem.contact import Contact, Plates
+from simcore.fem.linear import Guard
+from simcore.fem.model import Model, element_parameters
+from simcore.fem.report import report, verify
+from simcore.fem.solver import Solver
+from simcore.fem.spec import CompressionSpec
+
+
+def compress_mesh(mesh: TetMesh, phantom: Phantom, spec: CompressionSpec, progress: Progress) -> Compression:
+    """See simcore.fem.compress."""
+    progress(0.0, "setting up the equations")
+    if len(mesh.wall) < 3 or np.any(mesh.nodes[mesh.wall, 0] != 0.0):
+        raise SolverError(
+            f"the mesh has {len(mesh.wall)} chest-wall nodes, some not at x = 0: at least 3 exactly there are needed",
+            code="no-chest-wall",
+        )
+    model = Model.of(mesh, element_parameters(mesh, phantom, spec.material))
+    fixed = np.zeros(mesh.nodes.shape, dtype=bool)
+    fixed[mesh.wall, 0] = True
+    solver = Solver(model, fixed, Guard.against_roll(mesh.nodes, mesh.wall), spec.tolerance)
+    contact = Contact.none(mesh.skin, len(mesh.nodes))
+    solution = solver.compress(contact, spec.percent, spec.load_steps, part(progress, 0.05, 0.98))
+    plates = Plates.at(mesh.nodes[:, 2], spec.percent)
+    verify(solver, solution, plates)
+    facts = report(mesh, solver, solution, plates)
+    progress(1.0, f"compressed to {facts['thickness_mm']:.1f} mm")
+    return Compression(
+        displacement=solution.state.displacement,
+        plate_z=(plates.lower, plates.upper),
+        force_N=0.5 * (facts["force_lower_N"] + facts["force_upper_N"]),
+        outcome="converged",
+        report=facts,
+    )

@@ -1,0 +1,120 @@
+"""Facts about a compression, and the checks that no wrong answer passes."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from simcore.core.artifacts import Report, TetMesh
+from simcore.core.errors import SolverError
+from simcore.fem.assembly import assemble, volume_ratios
+from simcore.fem.contact import FREE, LOWER, UPPER, Plates
+from simcore.fem.model import Floats, Model
+from simcore.fem.solver import GAP_MM, Solution, Solver
+
+_PULL = 1e-3
+_BALANCE = 1e-3
+
+
+def internal_force(model: Model, displacement: Floats, pressure: Floats) -> Floats:
+    """Nodal forces of the present state, (n, 3), N."""
+    force, node_volume = np.empty_like(displacement), np.empty(len(displacement))
+    nothing3, nothing = np.empty((0, 3, 3)), np.empty((0, 3))
+    assemble(
+        displacement, pressure, model.tets, model.gradients, model.volumes, model.parameters,
+        model.pattern.block_of, False, force, node_volume, nothing3, nothing, nothing,
+    )  # fmt: skip
+    return force
+
+
+def verify(solver: Solver, solution: Solution, plates: Plates) -> None:
+    """Looks at the final state afresh: residual, penetration, sign and balance of the plate forces, volumes.
+
+    raises: SolverError, code "not-converged" or "inverted-element"
+    """
+    model, state = solver.model, solution.state
+    force = internal_force(model, state.displacement, state.pressure)
+    free = ~solver.fixed
+    free[state.contact.status != FREE, 2] = False
+    z = model.nodes[:, 2] + state.displacement[:, 2]
+    low, high = state.contact.forces(force[:, 2])
+    largest = float(np.abs(force[state.contact.status != FREE, 2]).max(initial=0.0))
+    values = [
+        ("relative residual", solver.relative_residual(force, free, state.contact), solver.tolerance),
+        ("penetration of a plate [mm]", state.contact.penetration(z, plates), 2 * GAP_MM),
+        ("pull of a plate on a node, relative", state.contact.largest_pull(force[:, 2]) / max(largest, 1e-12), _PULL),
+        (
+            "imbalance of the plates, relative",
+            abs(high - low) / max(high, low, 1e-12),
+            max(_BALANCE, np.sqrt(len(z)) * solver.tolerance),
+        ),
+    ]
+    smallest = float(volume_ratios(state.displacement, model.tets, model.gradients).min())
+    if not (smallest > 0 and np.isfinite(state.displacement).all()):
+        raise SolverError(
+            f"the smallest det F is {smallest:.3g}: use a smaller percent or a finer mesh", code="inverted-element"
+        )
+    for name, value, allowed in values:
+        if not value <= allowed:
+            raise SolverError(
+                f"{name} is {value:.2e} where {allowed:.2e} is allowed: use more load_steps or a finer mesh",
+                code="not-converged",
+            )
+
+
+def report(mesh: TetMesh, solver: Solver, solution: Solution, plates: Plates) -> Report:
+    """JSON-ready facts of a verified solution."""
+    model, state = solver.model, solution.state
+    ratios = volume_ratios(state.displacement, model.tets, model.gradients)
+    deformed = model.nodes + state.displacement
+    last = solution.steps[-1]
+    mean = 0.5 * (last.force_lower + last.force_upper)
+    area_lower, area_upper = (
+        _contact_area(deformed, mesh.skin, state.contact.status == plate) for plate in (LOWER, UPPER)
+    )
+    area = 0.5 * (area_lower + area_upper)
+    drift, roll = _guarded(mesh, internal_force(model, state.displacement, state.pressure))
+    return {
+        "percent": last.percent,
+        "thickness_mm": plates.upper - plates.lower,
+        "uncompressed_thickness_mm": float(np.ptp(model.nodes[:, 2])),
+        "force_upper_N": last.force_upper,
+        "force_lower_N": last.force_lower,
+        "force_balance": abs(last.force_upper - last.force_lower) / max(mean, 1e-12),
+        "force_curve": [{"percent": 0.0, "force_N": 0.0}]
+        + [{"percent": s.percent, "force_N": 0.5 * (s.force_lower + s.force_upper)} for s in solution.steps],
+        "contact_nodes": {
+            "lower": int(np.count_nonzero(state.contact.status == LOWER)),
+            "upper": int(np.count_nonzero(state.contact.status == UPPER)),
+        },
+        "contact_area_mm2": area,
+        "mean_pressure_kPa": 1e3 * mean / area if area > 0 else 0.0,
+        "min_det_F": float(ratios.min()),
+        "max_det_F": float(ratios.max()),
+        "volume_change": float((ratios * model.volumes).sum() / model.volumes.sum() - 1),
+        "extent_x_mm": [float(deformed[:, 0].min()), float(deformed[:, 0].max())],
+        "extent_y_mm": [float(deformed[:, 1].min()), float(deformed[:, 1].max())],
+        "uncompressed_extent_x_mm": [float(model.nodes[:, 0].min()), float(model.nodes[:, 0].max())],
+        "uncompressed_extent_y_mm": [float(model.nodes[:, 1].min()), float(model.nodes[:, 1].max())],
+        "wall_force_N": float(-internal_force(model, state.displacement, state.pressure)[mesh.wall, 0].sum()),
+        "guard_force_N": drift,
+        "guard_moment_Nmm": roll,
+        "relative_residual": last.residual,
+        "load_steps": len(solution.steps),
+        "newton_iterations": solution.counters.newton,
+        "cg_iterations": solution.counters.cg,
+    }
+
+
+def _contact_area(nodes: Floats, faces: NDArray[np.int64], touching: NDArray[np.bool_]) -> float:
+    """Area of the deformed skin on a plate, a third of a triangle for each of its nodes that touches, mm^2."""
+    a, b, c = (nodes[faces[:, k]] for k in range(3))
+    area = 0.5 * np.linalg.norm(np.cross(b - a, c - a), axis=1)
+    return float((area * touching[faces].sum(axis=1)).sum() / 3)
+
+
+def _guarded(mesh: TetMesh, force: Floats) -> tuple[float, float]:
+    """(force along y, N; moment about x, N mm) that keep the chest wall from drifting and rolling."""
+    along_y = force[mesh.wall, 1]
+    arm = mesh.nodes[mesh.wall, 2] - mesh.nodes[mesh.wall, 2].mean()
+    return float(along_y.sum()), float(-(along_y * arm).sum())

@@ -1,0 +1,72 @@
+"""The mesh stage."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from simcore.core.artifacts import Phantom, TetMesh
+from simcore.core.errors import MeshError
+from simcore.core.progress import Progress, part
+from simcore.mesh import tetwild
+from simcore.mesh.cleaning import compacted, largest_body, oriented, snapped_to_wall, wall_and_skin
+from simcore.mesh.ordering import cache_order
+from simcore.mesh.quality import quality_report, volumes
+from simcore.mesh.spec import MeshSpec
+from simcore.mesh.surface import outline
+
+_MAX_VOLUME_ERROR = 0.05
+"""More than the chords of a coarse mesh can cut off: the mesh is not that of the outline."""
+
+
+def build_mesh(phantom: Phantom, spec: MeshSpec, progress: Progress) -> TetMesh:
+    """See simcore.mesh.build."""
+    progress(0.0, "outline of the labels")
+    surface = outline(phantom)
+    edge_length = spec.edge_length_mm * surface.scale
+    nodes, tets = tetwild.tetrahedralize(
+        surface.points,
+        surface.triangles,
+        edge_length=edge_length,
+        epsilon=spec.epsilon,
+        progress=part(progress, 0.05, 0.9),
+    )
+    progress(0.9, "cleaning the mesh")
+    tets = largest_body(nodes, oriented(nodes, tets))
+    tolerance = 3 * spec.epsilon * float(np.linalg.norm(np.ptp(surface.points, axis=0)))
+    nodes, tets = snapped_to_wall(*compacted(nodes, tets), tolerance)
+    nodes, volume_error = _with_volume(nodes, tets, surface.volume)
+    nodes, tets = cache_order(nodes, tets)
+    wall, skin = wall_and_skin(nodes, tets)
+    report = quality_report(nodes, tets) | {
+        "wanted_edge_length_mm": edge_length,
+        "outline_triangles": len(surface.triangles),
+        "volume_before_correction": 1 + volume_error,
+        "wall_nodes": len(wall),
+        "skin_faces": len(skin),
+    }
+    progress(1.0, f"{len(tets)} tetrahedra")
+    return TetMesh(nodes, tets, wall, skin, report)
+
+
+def _with_volume(
+    nodes: NDArray[np.float64], tets: NDArray[np.int64], volume: float
+) -> tuple[NDArray[np.float64], float]:
+    """The mesh scaled about the middle of its wall to the volume of the labels (flat faces cut the curved outline
+    short), and the relative error it had before.
+
+    raises: MeshError where more is missing than the chords explain, or a tetrahedron has no volume.
+    """
+    each = volumes(nodes, tets)
+    error = float(each.sum() / volume - 1)
+    if abs(error) > _MAX_VOLUME_ERROR or each.min() <= 0:
+        raise MeshError(
+            f"the mesh has {each.sum() / 1e3:.1f} ml where the labels have {volume / 1e3:.1f} ml, and its smallest "
+            f"tetrahedron {each.min():.3g} mm^3; use a smaller edge_length_mm or epsilon",
+            code="mesh-volume",
+        )
+    on_wall = nodes[:, 0] == 0.0
+    if not on_wall.any():
+        raise MeshError("no node of the mesh lies on the chest wall; use a smaller epsilon", code="mesh-no-wall")
+    centre = np.array([0.0, *nodes[on_wall, 1:].mean(axis=0)])
+    return centre + (nodes - centre) * (1 + error) ** (-1 / 3), error

@@ -1,0 +1,130 @@
+"""fTetWild (pytetwild) as a child process: everything that is awkward about it stays in this file.
+
+It holds the interpreter lock for seconds, hangs in forked children, writes a file into the current folder, and from
+0.4 imports pyvista, which it does not need. So ``tetrahedralize`` starts ``python -m simcore.mesh.tetwild`` in a
+temporary folder and passes arrays as .npz files.
+
+Source: Hu, Schneider, Wang, Zorin, Panozzo, Fast tetrahedral meshing in the wild, ACM Trans. Graph. 39 (2020).
+"""
+
+from __future__ import annotations
+
+import ctypes
+import importlib.util
+import os
+import signal
+import subprocess
+import sys
+import tempfile
+import types
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from simcore.core.errors import MeshError
+from simcore.core.progress import Progress, silent
+
+TIMEOUT_S = 1800.0
+_POLL_S = 0.2
+_PR_SET_PDEATHSIG = 1
+
+
+def tetrahedralize(
+    points: NDArray[np.float64],
+    triangles: NDArray[np.int32],
+    *,
+    edge_length: float,
+    epsilon: float,
+    threads: int = 1,
+    timeout_s: float = TIMEOUT_S,
+    progress: Progress = silent,
+) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+    """Tetrahedra inside a closed surface.
+
+    points: float64 (n, 3), mm; triangles: int32 (f, 3).
+    edge_length: wanted, mm; epsilon: largest distance from the surface over the diagonal of the bounding box.
+    returns: nodes float64 (n', 3), tets int64 (m, 4), of any orientation. Not bit-reproducible.
+    raises: MeshError with the last lines the mesher wrote; whatever ``progress`` raises (the child is killed).
+    """
+    with tempfile.TemporaryDirectory(prefix="tetwild-") as name:
+        folder = Path(name)
+        np.savez(
+            folder / "surface.npz",
+            points=points, triangles=triangles, edge_length=edge_length, epsilon=epsilon, threads=threads,
+        )  # fmt: skip
+        with (folder / "log").open("wb") as log:
+            child = subprocess.Popen(
+                [sys.executable, "-m", "simcore.mesh.tetwild", str(os.getpid())],
+                cwd=folder, env=_environment(), stdin=subprocess.DEVNULL, stdout=log, stderr=log,
+            )  # fmt: skip
+            code = _wait(child, timeout_s, progress)
+        if code != 0:
+            raise MeshError(_failure(code, folder / "log", timeout_s))
+        with np.load(folder / "tets.npz") as result:
+            return result["nodes"], result["tets"]
+
+
+def _environment() -> dict[str, str]:
+    """The child finds the same simcore wherever it was imported from."""
+    root = str(Path(__file__).resolve().parents[2])
+    known = os.environ.get("PYTHONPATH")
+    return {**os.environ, "PYTHONPATH": os.pathsep.join([root, known] if known else [root])}
+
+
+def _wait(child: subprocess.Popen[bytes], timeout_s: float, progress: Progress) -> int | None:
+    """Exit status, None after ``timeout_s``; the child never outlives this call."""
+    try:
+        for k in range(int(timeout_s / _POLL_S) + 1):
+            try:
+                return child.wait(_POLL_S)
+            except subprocess.TimeoutExpired:
+                progress(1 - 0.98**k, "tetrahedralizing")
+        return None
+    finally:
+        if child.poll() is None:
+            child.kill()
+            child.wait()
+
+
+def _failure(code: int | None, log: Path, timeout_s: float) -> str:
+    if code is None:
+        what = f"did not finish within {timeout_s:g} s"
+    elif code < 0:
+        what = f"was ended by {signal.Signals(-code).name}"
+    else:
+        what = f"failed with exit status {code}"
+    last = log.read_text(errors="replace").strip().splitlines()[-8:]
+    said = " Its last lines: " + " | ".join(last) if last else ""
+    return f"the mesher {what}; try another edge_length_mm or epsilon.{said}"
+
+
+def _die_with_parent(parent: int) -> None:
+    """Linux: no orphan goes on meshing when the parent is killed."""
+    if sys.platform == "linux":
+        ctypes.CDLL(None, use_errno=True).prctl(_PR_SET_PDEATHSIG, signal.SIGKILL)
+        if os.getppid() != parent:
+            sys.exit("the parent process is gone")
+
+
+def main() -> None:
+    """The child: reads surface.npz, writes tets.npz, in the current folder."""
+    _die_with_parent(int(sys.argv[1]))
+    if importlib.util.find_spec("pyvista") is None:
+        sys.modules["pyvista"] = types.ModuleType("pyvista")
+    import pytetwild
+
+    with np.load("surface.npz") as surface:
+        nodes, tets = pytetwild.tetrahedralize(
+            surface["points"],
+            surface["triangles"],
+            edge_length_abs=float(surface["edge_length"]),
+            epsilon=float(surface["epsilon"]),
+            num_threads=int(surface["threads"]),
+            quiet=True,
+        )
+    np.savez("tets.npz", nodes=np.asarray(nodes, dtype=np.float64), tets=np.asarray(tets, dtype=np.int64))
+
+
+if __name__ == "__main__":
+    main()
