@@ -1,0 +1,27 @@
+"""From projections to a volume of attenuation coefficients: filtered back-projection and its operators."""
+
+from __future__ import annotations
+
+from simcore.core.artifacts import ProjectionStack, Volume
+from simcore.core.progress import Progress, silent
+from simcore.reconstruction.spec import FilteredBackprojection, ReconstructionSpec
+
+__all__ = ["FilteredBackprojection", "ReconstructionSpec", "reconstruct"]
+
+
+def reconstruct(
+    stack: ProjectionStack, spec: ReconstructionSpec, thickness_mm: float, progress: Progress = silent
+) -> Volume:
+    """Attenuation coefficients between the breast support and the compression paddle.
+
+    stack: detector signal of every view, uint16 (views, ny, nx).
+    spec: which reconstruction, its slices and filters, and how the values are stored.
+    thickness_mm: height of the compressed breast, mm: slices fill [support_height, support_height + thickness_mm].
+    progress: called with a fraction in [0, 1] and a message.
+    returns: Volume in the detector frame, uint16 (nz, ny, nx); attenuation [1/mm] = slope * data + intercept.
+    raises: GeometryError where the views do not span an angle or the slices reach the source.
+    """
+    # Here and not above: the specification is read where nothing may load compiled code.
+    from simcore.reconstruction.fbp import filtered_backprojection
+
+    return filtered_backprojection(stack, spec, thickness_mm, progress)

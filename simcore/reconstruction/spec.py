@@ -23,6 +23,10 @@ class FilteredBackprojection(Spec):
         unit="1", default=1.0, gt=0.0, le=1.0,
     )
     slice_thickness_filter: bool = Field(True, description="whether the slice-thickness filter is applied")
+    slice_cutoff: float = quantity(
+        "frequency at which the Hann window of the slice thickness filter reaches zero, relative to the Nyquist "
+        "frequency of the slices", unit="1", default=1.0, gt=0.0, le=10.0,
+    )
     value_slope: float = quantity(
         "attenuation per step of the stored 16-bit values", unit="1/mm", default=1e-5, ge=1e-8, le=1e-2
     )

@@ -1,0 +1,154 @@
+"""Voxel-driven backprojection onto slices parallel to the detector, quantised as it is made.
+
+The source has x = 0 in every view and slices lie parallel to the detector. So one voxel row (z, y) reads two
+neighbouring detector rows (one pair of weights for the whole row), and along x it reads at positions that depend on
+the slice and the height of the source alone. Views with a source at the same height (the tube angles +a and -a) share
+those positions: their rows are added first and resampled along x once.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numba import njit, prange
+from numpy.typing import NDArray
+
+from simcore.core.geometry import AcquisitionGeometry
+from simcore.core.grid import Grid
+from simcore.reconstruction.interpolation import (
+    PADDING,
+    add_resampled,
+    add_two_rows,
+    column_positions,
+    row_weights,
+)
+
+FloatArray = NDArray[np.float32]
+Coordinates = NDArray[np.float64]
+ROWS = 8
+"""Voxel rows that one thread works on at a time: their detector rows overlap and stay in the cache."""
+
+
+@dataclass(frozen=True)
+class BackprojectionPlan:
+    """Where voxels read the detector, in pixels.
+
+    order:       int64 (views,), views sorted so that those of one source height are neighbours.
+    group_start: int64 (groups + 1,), first view (in that order) of each group.
+    row_offset, row_step: float64 (nz, views), voxel row y reads detector row row_offset + y * row_step.
+    column_offset, column_step: float64 (nz, groups), the same along x.
+    weight:      float32 (nz, views), factor of a view in a slice: the square of the magnification.
+    """
+
+    order: NDArray[np.int64]
+    group_start: NDArray[np.int64]
+    row_offset: NDArray[np.float64]
+    row_step: NDArray[np.float64]
+    column_offset: NDArray[np.float64]
+    column_step: NDArray[np.float64]
+    weight: FloatArray
+
+
+def plan_backprojection(geometry: AcquisitionGeometry, grid: Grid) -> BackprojectionPlan:
+    """The plan for a detector at rest and a volume grid in the detector frame."""
+    detector = geometry.detector
+    heights = np.round(geometry.sources[:, 2], 9)
+    order = np.argsort(heights, kind="stable")
+    group_start = np.concatenate([np.flatnonzero(np.diff(heights[order], prepend=np.nan) != 0), [len(order)]])
+
+    source_y, source_z = geometry.sources[order, 1], geometry.sources[order, 2]
+    magnification = source_z / (source_z - grid.centres("z")[:, None])
+    first_x, first_y = grid.centres("x")[0], grid.centres("y")[0]
+    on_detector_y = source_y + (first_y - source_y) * magnification
+    of_group = magnification[:, group_start[:-1]]
+    return BackprojectionPlan(
+        order=order,
+        group_start=group_start.astype(np.int64),
+        row_offset=on_detector_y / detector.pixel + (detector.ny - 1) / 2,
+        row_step=magnification * grid.spacing[1] / detector.pixel,
+        column_offset=first_x * of_group / detector.pixel - 0.5,
+        column_step=of_group * grid.spacing[0] / detector.pixel,
+        weight=(magnification**2).astype(np.float32),
+    )
+
+
+def backproject_quantised(
+    filtered: FloatArray, plan: BackprojectionPlan, rows: slice, slope: float, intercept: float, out: NDArray[np.uint16]
+) -> tuple[int, int]:
+    """Fill voxel rows ``rows`` (y) of every slice of ``out``.
+
+    filtered: float32 (views, ny, columns); pixels beyond its edges count as zero.
+    out: uint16 (nz, ny, nx): round((attenuation - intercept) / slope), clipped to 0..65535.
+    returns: number of voxels clipped at (0, 65535).
+    """
+    clipped = np.zeros((-(-(rows.stop - rows.start) // ROWS), 2), np.int64)
+    _backproject_rows(
+        filtered, plan.order, plan.group_start, plan.row_offset, plan.row_step, plan.column_offset, plan.column_step,
+        plan.weight, np.float32(1.0 / slope), np.float32(-intercept / slope), rows.start, rows.stop, out, clipped,
+    )  # fmt: skip
+    return int(clipped[:, 0].sum()), int(clipped[:, 1].sum())
+
+
+@njit(cache=True, parallel=True, error_model="numpy")
+def _backproject_rows(
+    filtered: FloatArray,
+    order: NDArray[np.int64],
+    group_start: NDArray[np.int64],
+    row_offset: Coordinates,
+    row_step: Coordinates,
+    column_offset: Coordinates,
+    column_step: Coordinates,
+    weight: FloatArray,
+    scale: np.float32,
+    shift: np.float32,
+    first_row: int,
+    last_row: int,
+    out: NDArray[np.uint16],
+    clipped: NDArray[np.int64],
+) -> None:
+    """``backproject_quantised`` for blocks of ROWS voxel rows, each of which belongs to one thread."""
+    nz, _, nx = out.shape
+    _, rows, columns = filtered.shape
+    for block in prange(clipped.shape[0]):
+        y0 = first_row + block * ROWS
+        count = min(ROWS, last_row - y0)
+        padded = np.zeros((ROWS, columns + PADDING), np.float32)
+        attenuation = np.empty((ROWS, nx), np.float32)
+        left = np.empty(nx, np.int32)
+        fraction = np.empty(nx, np.float32)
+        low = high = 0
+        for z in range(nz):
+            attenuation[:] = 0.0
+            for group in range(len(group_start) - 1):
+                column_positions(column_offset[z, group], column_step[z, group], columns, left, fraction)
+                for r in range(count):
+                    summed = padded[r, 1 : columns + 1]
+                    summed[:] = 0.0
+                    for k in range(group_start[group], group_start[group + 1]):
+                        view = filtered[order[k]]
+                        position = row_offset[z, k] + (y0 + r) * row_step[z, k]
+                        first, second, lower, upper = row_weights(position, rows)
+                        lower, upper = np.float32(lower * weight[z, k]), np.float32(upper * weight[z, k])
+                        add_two_rows(view[first], view[second], lower, upper, summed)
+                    add_resampled(padded[r], left, fraction, attenuation[r])
+            for r in range(count):
+                below, above = _quantise(attenuation[r], scale, shift, out[z, y0 + r])
+                low += below
+                high += above
+        clipped[block, 0] = low
+        clipped[block, 1] = high
+
+
+@njit(cache=True, fastmath={"contract"}, error_model="numpy")
+def _quantise(
+    attenuation: FloatArray, scale: np.float32, shift: np.float32, out: NDArray[np.uint16]
+) -> tuple[int, int]:
+    """out = attenuation * scale + shift, rounded and clipped. Returns how many were clipped at 0 and at 65535."""
+    low = high = 0
+    for i in range(len(out)):
+        value = attenuation[i] * scale + shift + np.float32(0.5)
+        low += value < np.float32(0.0)
+        high += value >= np.float32(65536.0)
+        out[i] = np.uint16(np.int32(min(max(value, np.float32(0.0)), np.float32(65535.0))))
+    return low, high

@@ -1,0 +1,106 @@
+"""From detector signal to line integrals of attenuation, on the plane of the slices."""
+
+from __future__ import annotations
+
+from functools import cache
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from simcore.core.artifacts import ProjectionStack, frozen
+from simcore.core.geometry import AcquisitionGeometry
+
+FloatArray = NDArray[np.float32]
+
+
+@cache
+def attenuation_table(open_field: float) -> FloatArray:
+    """Line integral of every 16-bit pixel value: -ln(max(value, 1) / open_field), float32 (65536,).
+
+    The signal has 16 bits, so a table is exact and faster than a logarithm per pixel.
+    """
+    values = np.maximum(np.arange(65536, dtype=np.float64), 1.0)
+    return np.asarray(frozen((-np.log(values / open_field)).astype(np.float32)))
+
+
+def lit_columns(stack: ProjectionStack) -> int:
+    """Number of detector columns from the chest wall on that hold all signal: every pixel beyond, in every view,
+    has a line integral of exactly 0 and adds nothing to the volume."""
+    table = attenuation_table(stack.open_field)
+    if not np.any(table == 0.0):
+        return stack.geometry.detector.nx
+    return int(max(_last_attenuated_column(view, table) for view in stack.data)) + 1
+
+
+@njit(cache=True, nogil=True)
+def _last_attenuated_column(view: NDArray[np.uint16], table: FloatArray) -> int:
+    """Index of the last column of uint16 (ny, nx) with a nonzero line integral; -1 where there is none."""
+    last = -1
+    for j in range(view.shape[0]):
+        i = view.shape[1] - 1
+        while i > last and table[view[j, i]] == 0.0:
+            i -= 1
+        last = max(last, i)
+    return last
+
+
+def line_integrals(stack: ProjectionStack, view: int, columns: slice) -> FloatArray:
+    """Line integrals of some columns of a view on the plane z = 0, float32 (ny, columns).
+
+    Where the detector turns with the tube, each pixel of a virtual detector at rest is joined to the source, and the
+    line integrals of the turned detector are interpolated bilinearly where that ray meets it; zero where it misses.
+    """
+    table = attenuation_table(stack.open_field)
+    if stack.geometry.detector_angles[view] == 0:
+        return np.asarray(table.take(stack.data[view, :, columns], mode="clip"))
+    rows, scale = _rows_on_turned_detector(stack.geometry, view)
+    return np.asarray(_resample_turned(stack.data[view], table, rows, scale, columns.start, columns.stop))
+
+
+def _rows_on_turned_detector(
+    geometry: AcquisitionGeometry, view: int
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Where the rays through the rows of the plane z = 0 meet the turned detector: the row (fraction), and x there
+    relative to x on the plane z = 0; each float64 (ny,). Holds for every x, since the source has x = 0."""
+    detector = geometry.detector
+    _, source_y, source_z = geometry.sources[view]
+    origin, row_direction = geometry.detector_frame(view)
+    normal_y, normal_z = -row_direction[2], row_direction[1]
+    ray_y, ray_z = detector.y_centres() - source_y, -source_z
+    distance = normal_y * (origin[1] - source_y) + normal_z * (origin[2] - source_z)
+    scale = distance / (normal_y * ray_y + normal_z * ray_z)
+    along = (source_y + scale * ray_y - origin[1]) * row_direction[1] + (
+        source_z + scale * ray_z - origin[2]
+    ) * row_direction[2]
+    return along / detector.pixel + (detector.ny - 1) / 2, scale
+
+
+@njit(cache=True, nogil=True)
+def _resample_turned(
+    view: NDArray[np.uint16],
+    table: FloatArray,
+    rows: NDArray[np.float64],
+    scale: NDArray[np.float64],
+    first: int,
+    stop: int,
+) -> FloatArray:
+    ny, nx = view.shape
+    result = np.zeros((ny, stop - first), np.float32)
+    for j in range(ny):
+        row = int(np.floor(rows[j]))
+        if row < -1 or row >= ny:
+            continue
+        upper = rows[j] - row
+        for i in range(stop - first):
+            position = (first + i + 0.5) * scale[j] - 0.5
+            column = int(np.floor(position))
+            right = position - column
+            total = 0.0
+            for dj in range(2):
+                for di in range(2):
+                    if 0 <= row + dj < ny and 0 <= column + di < nx:
+                        weight = (upper if dj else 1.0 - upper) * (right if di else 1.0 - right)
+                        total += weight * table[view[row + dj, column + di]]
+            result[j, i] = total
+    return result

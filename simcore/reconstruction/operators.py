@@ -1,0 +1,143 @@
+"""Projection of a stack of slices, and its exact transpose: the pair that iterative reconstructions need.
+
+Joseph's method (P. M. Joseph, IEEE Trans. Med. Imaging 1 (1982) 192) with slices as the main planes: a ray crosses
+every slice at its middle plane, the slice is interpolated bilinearly there, and the values are summed times the length
+of the ray within one slice. Voxels beyond the volume are zero. ``backproject`` has the same weights, transposed:
+<project_slices(x), y> = <x, backproject(y)>. (The backprojection inside filtered_backprojection is another one: it
+interpolates on the detector, once a voxel.)
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit, prange
+from numpy.typing import NDArray
+
+from simcore.core.errors import GeometryError
+from simcore.core.geometry import AcquisitionGeometry
+from simcore.core.grid import Grid
+from simcore.reconstruction.interpolation import (
+    PADDING,
+    add_resampled,
+    add_two_rows,
+    column_positions,
+    row_weights,
+    scatter_resampled,
+)
+
+FloatArray = NDArray[np.float32]
+Coordinates = NDArray[np.float64]
+ROWS = 8
+"""Detector rows that one thread projects at a time: they cross the same rows of a slice."""
+
+
+def project_slices(volume: FloatArray, grid: Grid, geometry: AcquisitionGeometry) -> FloatArray:
+    """Line integrals of a volume.
+
+    volume: float32 (nz, ny, nx), attenuation, 1/mm. grid: where its voxels lie, detector frame.
+    returns: float32 (views, ny, nx) on the detector, no unit.
+    raises: GeometryError for a detector that turns, or a volume not between detector and source.
+    """
+    _check(grid, geometry)
+    if volume.shape != grid.shape:
+        raise ValueError(f"volume {volume.shape} and grid {grid.shape} differ")
+    detector = geometry.detector
+    projections = np.zeros((geometry.views, detector.ny, detector.nx), np.float32)
+    offsets, steps = _crossings(grid, geometry)
+    for view in range(geometry.views):
+        _project_view(np.ascontiguousarray(volume, np.float32), offsets[view], steps[view], projections[view])
+        projections[view] *= _ray_lengths(grid, geometry, view)
+    return projections
+
+
+def backproject(projections: FloatArray, grid: Grid, geometry: AcquisitionGeometry) -> FloatArray:
+    """The transpose of ``project_slices``.
+
+    projections: float32 (views, ny, nx). returns: float32 (nz, ny, nx), mm.
+    raises: GeometryError for a detector that turns, or a volume not between detector and source.
+    """
+    _check(grid, geometry)
+    detector = geometry.detector
+    if projections.shape != (geometry.views, detector.ny, detector.nx):
+        raise ValueError(f"projections {projections.shape} do not fit {geometry.views} views of {detector}")
+    volume = np.zeros(grid.shape, np.float32)
+    offsets, steps = _crossings(grid, geometry)
+    for view in range(geometry.views):
+        weighted = projections[view] * _ray_lengths(grid, geometry, view)
+        _backproject_view(weighted, offsets[view], steps[view], volume)
+    return volume
+
+
+def _check(grid: Grid, geometry: AcquisitionGeometry) -> None:
+    if not geometry.stationary:
+        raise GeometryError("the detector turns with the tube; project_slices and backproject need one at rest")
+    lowest = float(geometry.sources[:, 2].min())
+    if grid.corner[2] < 0 or grid.upper[2] >= lowest:
+        raise GeometryError(
+            f"the volume lies at z = {grid.corner[2]:g} to {grid.upper[2]:g} mm; it must lie between the detector, "
+            f"0 mm, and the lowest source, {lowest:g} mm"
+        )
+
+
+def _crossings(grid: Grid, geometry: AcquisitionGeometry) -> tuple[Coordinates, Coordinates]:
+    """Where rays cross slices: the ray to pixel [j, i] passes a slice at voxel row offset[0] + j step[0] and column
+    offset[1] + i step[1] (fractions). Both float64 (views, nz, 2)."""
+    detector = geometry.detector
+    source = geometry.sources[:, None, :]
+    shrink = 1.0 - grid.centres("z") / source[:, :, 2]
+    steps = np.empty((geometry.views, grid.shape[0], 2))
+    offsets = np.empty_like(steps)
+    for axis, first, start in ((1, detector.y_centres()[0], 0), (0, detector.x_centres()[0], 1)):
+        crossing = source[:, :, axis] + (first - source[:, :, axis]) * shrink
+        offsets[:, :, start] = (crossing - grid.corner[axis]) / grid.spacing[axis] - 0.5
+        steps[:, :, start] = detector.pixel * shrink / grid.spacing[axis]
+    return offsets, steps
+
+
+def _ray_lengths(grid: Grid, geometry: AcquisitionGeometry, view: int) -> FloatArray:
+    """Length of every ray within one slice, mm, float32 (ny, nx)."""
+    x, y, z = geometry.sources[view]
+    across = (geometry.detector.y_centres() - y)[:, None] ** 2 + (geometry.detector.x_centres() - x) ** 2
+    return np.asarray(grid.spacing[2] * np.sqrt(across + z**2) / z, np.float32)
+
+
+@njit(cache=True, parallel=True, error_model="numpy")
+def _project_view(volume: FloatArray, offset: Coordinates, step: Coordinates, projection: FloatArray) -> None:
+    nz, ny, nx = volume.shape
+    rows, columns = projection.shape
+    for block in prange((rows + ROWS - 1) // ROWS):
+        padded = np.zeros(nx + PADDING, np.float32)
+        left = np.empty(columns, np.int32)
+        fraction = np.empty(columns, np.float32)
+        for z in range(nz):
+            column_positions(offset[z, 1], step[z, 1], nx, left, fraction)
+            for j in range(block * ROWS, min((block + 1) * ROWS, rows)):
+                first, second, lower, upper = row_weights(offset[z, 0] + j * step[z, 0], ny)
+                if lower == 0.0 and upper == 0.0:
+                    continue
+                crossed = padded[1 : nx + 1]
+                crossed[:] = 0.0
+                add_two_rows(volume[z, first], volume[z, second], np.float32(lower), np.float32(upper), crossed)
+                add_resampled(padded, left, fraction, projection[j])
+
+
+@njit(cache=True, parallel=True, error_model="numpy")
+def _backproject_view(projection: FloatArray, offset: Coordinates, step: Coordinates, volume: FloatArray) -> None:
+    nz, ny, nx = volume.shape
+    rows, columns = projection.shape
+    for z in prange(nz):
+        padded = np.zeros(nx + PADDING, np.float32)
+        left = np.empty(columns, np.int32)
+        fraction = np.empty(columns, np.float32)
+        column_positions(offset[z, 1], step[z, 1], nx, left, fraction)
+        for j in range(rows):
+            first, second, lower, upper = row_weights(offset[z, 0] + j * step[z, 0], ny)
+            if lower == 0.0 and upper == 0.0:
+                continue
+            padded[:] = 0.0
+            scatter_resampled(projection[j], left, fraction, padded)
+            spread = padded[1 : nx + 1]
+            for i in range(nx):
+                volume[z, first, i] += np.float32(lower) * spread[i]
+            for i in range(nx):
+                volume[z, second, i] += np.float32(upper) * spread[i]
