@@ -16,6 +16,7 @@ Seeds are a float32 table (ROWS, n), one column a seed, glandular seeds first.
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 from numba import njit, prange
@@ -111,16 +112,20 @@ def keep_rivals(
 @njit(cache=True, fastmath=True, error_model="numpy")  # type: ignore[misc]
 def _label_row(
     seeds: Float32, count: int, glandular: int, x0: float, y: float, z: float, step: float, squared_thickness: float,
-    lanes: int, delay: Float32, gx: Float32, gy: Float32, gz: Float32, first: Float32, fx: Float32, fy: Float32,
-    fz: Float32, gland_first: Float32, label: Float32,
+    lane: Float32,
 ) -> None:  # fmt: skip
-    """Labels of ``lanes`` voxels along x from x0; the first ``glandular`` of the seeds are glandular."""
-    for i in range(lanes):
-        first[i] = _FAR
-        gland_first[i] = _FAR
-        fx[i] = _ZERO
-        fy[i] = _ZERO
-        fz[i] = _ZERO
+    """Labels of _LANES voxels along x from x0, left in the last row of ``lane``, a work array of 6 * _LANES.
+
+    The first ``glandular`` of the ``count`` seeds are glandular. One array with constant offsets lets the compiler
+    see that nothing overlaps and keep the lanes in vector registers: delay, gradient and number of the winner.
+    """
+    for i in range(16):
+        lane[i] = _FAR
+        lane[16 + i] = _ZERO
+        lane[32 + i] = _ZERO
+        lane[48 + i] = _ZERO
+        lane[64 + i] = _ZERO
+        lane[80 + i] = _ZERO
     for q in range(count):
         xx, xy, xz = seeds[SXX, q], seeds[SXY, q], seeds[SXZ, q]
         dx, dy, dz = x0 - seeds[X, q], y - seeds[Y, q], z - seeds[Z, q]
@@ -128,34 +133,51 @@ def _label_row(
         gy0 = seeds[SYY, q] * dy + seeds[SYZ, q] * dz
         gz0 = seeds[SYZ, q] * dy + seeds[SZZ, q] * dz
         rest = gy0 * dy + gz0 * dz + seeds[START, q]
-        at = q * _LANES
-        for i in range(lanes):
+        number = np.float32(q)
+        for i in range(16):
             x = dx + np.float32(i) * step
-            this_x, this_y, this_z = xx * x + gx0, xy * x + gy0, xz * x + gz0
-            this = x * (this_x + gx0) + rest
-            delay[at + i] = this
-            gx[at + i] = this_x
-            gy[at + i] = this_y
-            gz[at + i] = this_z
-            wins = this < first[i]
-            first[i] = this if wins else first[i]
-            fx[i] = this_x if wins else fx[i]
-            fy[i] = this_y if wins else fy[i]
-            fz[i] = this_z if wins else fz[i]
-        if q == glandular - 1:
-            for i in range(lanes):
-                gland_first[i] = first[i]
-    for i in range(lanes):
-        label[i] = np.float32(_GLAND) if gland_first[i] <= first[i] else np.float32(_ADIPOSE)
-        gland_first[i] = _ZERO if gland_first[i] <= first[i] else squared_thickness
+            gx, gy, gz = xx * x + gx0, xy * x + gy0, xz * x + gz0
+            delay = x * (gx + gx0) + rest
+            wins = delay < lane[i]
+            lane[i] = delay if wins else lane[i]
+            lane[16 + i] = gx if wins else lane[16 + i]
+            lane[32 + i] = gy if wins else lane[32 + i]
+            lane[48 + i] = gz if wins else lane[48 + i]
+            lane[64 + i] = number if wins else lane[64 + i]
     for q in range(count):
-        at = q * _LANES
-        for i in range(lanes):
-            lead = delay[at + i] - first[i]
-            x, y_, z_ = gx[at + i] - fx[i], gy[at + i] - fy[i], gz[at + i] - fz[i]
-            reach = gland_first[i] if q < glandular else squared_thickness
-            near = lead * lead < reach * (x * x + y_ * y_ + z_ * z_)
-            label[i] = np.float32(_LIGAMENT) if near else label[i]
+        xx, xy, xz = seeds[SXX, q], seeds[SXY, q], seeds[SXZ, q]
+        dx, dy, dz = x0 - seeds[X, q], y - seeds[Y, q], z - seeds[Z, q]
+        gx0 = xy * dy + xz * dz
+        gy0 = seeds[SYY, q] * dy + seeds[SYZ, q] * dz
+        gz0 = seeds[SYZ, q] * dy + seeds[SZZ, q] * dz
+        rest = gy0 * dy + gz0 * dz + seeds[START, q]
+        number = np.float32(q)
+        # A glandular rival draws no ligament against a glandular winner.
+        least_winner = np.float32(glandular) if q < glandular else _ZERO
+        for i in range(16):
+            x = dx + np.float32(i) * step
+            gx, gy, gz = xx * x + gx0, xy * x + gy0, xz * x + gz0
+            lead = x * (gx + gx0) + rest - lane[i]
+            gx, gy, gz = gx - lane[16 + i], gy - lane[32 + i], gz - lane[48 + i]
+            short = squared_thickness * (gx * gx + gy * gy + gz * gz) - lead * lead
+            short = short if lane[64 + i] >= least_winner else _ZERO
+            short = short if lane[64 + i] != number else _ZERO
+            lane[80 + i] = max(lane[80 + i], short)
+    for i in range(16):
+        tissue = np.float32(_GLAND) if lane[64 + i] < np.float32(glandular) else np.float32(_ADIPOSE)
+        lane[80 + i] = np.float32(_LIGAMENT) if lane[80 + i] > _ZERO else tissue
+
+
+class _Raster(NamedTuple):
+    """What the kernels write to and where it lies."""
+
+    labels: NDArray[np.uint8]
+    tissue_rows: NDArray[np.int32]
+    step: np.float32
+    y0: np.float32
+    z0: np.float32
+    thickness: np.float32
+    gland_seeds: int
 
 
 @njit(cache=True, error_model="numpy")  # type: ignore[misc]
@@ -168,14 +190,63 @@ def _glandular(seeds: Float32, count: int, gland_seeds: int) -> int:
 
 
 @njit(cache=True, error_model="numpy")  # type: ignore[misc]
-def _fill(labels, rows, value, k0, k1, j0, j1, i0, i1):  # type: ignore[no-untyped-def]
+def _narrow(
+    raster: _Raster, seeds: Float32, count: int, i0: int, j0: int, k0: int, width: int, height: int, work: Float32,
+    kept: Float32,
+) -> int:  # fmt: skip
+    """Narrows the seeds down to those that matter in a block of width x height x height voxels.
+
+    returns: how many are in ``kept``; 0 where the block is settled: outside the tissue, or of one tissue and filled.
+    """
+    _, ny, _ = raster.labels.shape
+    k1, j1 = min(raster.labels.shape[0], k0 + height), min(ny, j0 + height)
+    deepest = 0
     for k in range(k0, k1):
         for j in range(j0, j1):
-            for i in range(i0, min(i1, rows[k, j])):
-                labels[k, j, i] = value
+            deepest = max(deepest, raster.tissue_rows[k, j])
+    if i0 >= deepest:
+        return 0
+    half_x, half_y = np.float32(0.5 * width) * raster.step, np.float32(0.5 * height) * raster.step
+    number = keep_rivals(
+        seeds, count,
+        np.float32(i0) * raster.step + half_x,
+        raster.y0 + np.float32(j0) * raster.step + half_y,
+        raster.z0 + np.float32(k0) * raster.step + half_y,
+        half_x, half_y, half_y, raster.thickness, _ZERO, work[0], work[1], kept,
+    )  # fmt: skip
+    glandular = _glandular(kept, number, raster.gland_seeds)
+    if number > 1 and glandular < number:
+        return number
+    tissue = _GLAND if glandular else _ADIPOSE
+    for k in range(k0, k1):
+        for j in range(j0, j1):
+            for i in range(i0, min(i0 + width, raster.tissue_rows[k, j])):
+                raster.labels[k, j, i] = tissue
+    return 0
 
 
-@njit(cache=True, parallel=True, fastmath=True, error_model="numpy")  # type: ignore[misc]
+@njit(cache=True, error_model="numpy")  # type: ignore[misc]
+def _label_leaf(
+    raster: _Raster, seeds: Float32, count: int, i0: int, j0: int, k0: int, height: int, lane: Float32
+) -> None:
+    """Labels _LANES x height x height voxels one by one."""
+    half = np.float32(0.5) * raster.step
+    glandular = _glandular(seeds, count, raster.gland_seeds)
+    squared_thickness = raster.thickness * raster.thickness
+    for k in range(k0, min(raster.labels.shape[0], k0 + height)):
+        for j in range(j0, min(raster.labels.shape[1], j0 + height)):
+            length = min(_LANES, raster.tissue_rows[k, j] - i0)
+            if length <= 0:
+                continue
+            x = np.float32(i0) * raster.step + half
+            y = raster.y0 + np.float32(j) * raster.step + half
+            z = raster.z0 + np.float32(k) * raster.step + half
+            _label_row(seeds, count, glandular, x, y, z, raster.step, squared_thickness, lane)
+            for i in range(length):
+                raster.labels[k, j, i0 + i] = np.uint8(lane[5 * _LANES + i])
+
+
+@njit(cache=True, parallel=True, error_model="numpy")  # type: ignore[misc]
 def label_voxels(
     seeds: Float32, gland_seeds: int, thickness: float, tissue_rows: NDArray[np.int32],
     breast_rows: NDArray[np.int32], spacing: float, corner_y: float, corner_z: float, labels: NDArray[np.uint8],
@@ -183,87 +254,44 @@ def label_voxels(
     """Writes adipose, gland, ligament and skin into ``labels`` (nz, ny, nx), which comes as air.
 
     seeds: table (ROWS, n), the first ``gland_seeds`` glandular; thickness: of the ligaments, mm.
-    tissue_rows, breast_rows: (nz, ny), see Outline. One task writes one column of 16 x 16 rows.
+    tissue_rows, breast_rows: (nz, ny), see Outline; spacing, corner_y, corner_z: of the grid, mm.
+    One task writes the voxels of one column of 16 x 16 rows, by halving blocks of 64 x 16 x 16 twice.
     """
-    nz, ny, nx = labels.shape
-    n = seeds.shape[1]
-    columns_y, columns_z = (ny + 15) // 16, (nz + 15) // 16
+    raster = _Raster(
+        labels, tissue_rows, np.float32(spacing), np.float32(corner_y), np.float32(corner_z), np.float32(thickness),
+        gland_seeds,
+    )  # fmt: skip
+    columns_y, columns_z = (labels.shape[1] + 15) // 16, (labels.shape[0] + 15) // 16
     columns = columns_y * columns_z
     stride = _spread(columns)
-    step, ligament = np.float32(spacing), np.float32(thickness)
-    half = np.float32(0.5) * step
     for task in prange(columns):
         column = (task * stride) % columns
         k0, j0 = (column // columns_y) * 16, (column % columns_y) * 16
-        k1, j1 = min(nz, k0 + 16), min(ny, j0 + 16)
-        deepest = 0
-        for k in range(k0, k1):
-            for j in range(j0, j1):
-                deepest = max(deepest, tissue_rows[k, j])
-                for i in range(tissue_rows[k, j], breast_rows[k, j]):
-                    labels[k, j, i] = _SKIN
-        delay, steep = np.empty(n, np.float32), np.empty(n, np.float32)
-        large, small, leaf = (
-            np.empty((ROWS, n), np.float32), np.empty((ROWS, n), np.float32), np.empty((ROWS, n), np.float32)
-        )  # fmt: skip
-        work = np.empty((4, n * _LANES), np.float32)
-        lane = np.empty((6, _LANES), np.float32)
-        for i0 in range(0, deepest, 64):
-            in_large = keep_rivals(
-                seeds, n, np.float32(i0 + 32) * step, np.float32(corner_y) + np.float32(j0 + 8) * step,
-                np.float32(corner_z) + np.float32(k0 + 8) * step, np.float32(64) * half, np.float32(16) * half, np.float32(16) * half, ligament, _ZERO,
-                delay, steep, large,
-            )  # fmt: skip
-            gland = _glandular(large, in_large, gland_seeds)
-            if in_large == 1 or gland == in_large:
-                _fill(labels, tissue_rows, _GLAND if gland else _ADIPOSE, k0, k1, j0, j1, i0, i0 + 64)
-                continue
-            for part in range(8):
-                i1 = i0 + (part & 1) * 32
-                j2, k2 = j0 + ((part >> 1) & 1) * 8, k0 + (part >> 2) * 8
-                j3, k3 = min(ny, j2 + 8), min(nz, k2 + 8)
-                deepest_part = 0
-                for k in range(k2, k3):
-                    for j in range(j2, j3):
-                        deepest_part = max(deepest_part, tissue_rows[k, j])
-                if i1 >= deepest_part:
-                    continue
-                in_small = keep_rivals(
-                    large, in_large, np.float32(i1 + 16) * step, np.float32(corner_y) + np.float32(j2 + 4) * step,
-                    np.float32(corner_z) + np.float32(k2 + 4) * step, np.float32(32) * half, np.float32(8) * half, np.float32(8) * half, ligament, _ZERO,
-                    delay, steep, small,
-                )  # fmt: skip
-                gland = _glandular(small, in_small, gland_seeds)
-                if in_small == 1 or gland == in_small:
-                    _fill(labels, tissue_rows, _GLAND if gland else _ADIPOSE, k2, k3, j2, j3, i1, i1 + 32)
-                    continue
-                for piece in range(8):
-                    i2 = i1 + (piece & 1) * 16
-                    j4, k4 = j2 + ((piece >> 1) & 1) * 4, k2 + (piece >> 2) * 4
-                    j5, k5 = min(ny, j4 + 4), min(nz, k4 + 4)
-                    if i2 >= deepest_part:
-                        continue
-                    in_leaf = keep_rivals(
-                        small, in_small, np.float32(i2 + 8) * step, np.float32(corner_y) + np.float32(j4 + 2) * step,
-                        np.float32(corner_z) + np.float32(k4 + 2) * step, np.float32(16) * half, np.float32(4) * half, np.float32(4) * half, ligament, _ZERO,
-                        delay, steep, leaf,
-                    )  # fmt: skip
-                    gland = _glandular(leaf, in_leaf, gland_seeds)
-                    if in_leaf == 1 or gland == in_leaf:
-                        _fill(labels, tissue_rows, _GLAND if gland else _ADIPOSE, k4, k5, j4, j5, i2, i2 + 16)
-                        continue
-                    for k in range(k4, k5):
-                        for j in range(j4, j5):
-                            if i2 >= tissue_rows[k, j]:
-                                continue
-                            _label_row(
-                                leaf, in_leaf, gland, np.float32(i2) * step + half, np.float32(corner_y) + np.float32(j) * step + half,
-                                np.float32(corner_z) + np.float32(k) * step + half, step, ligament * ligament, _LANES,
-                                work[0], work[1], work[2], work[3], lane[0], lane[1], lane[2], lane[3], lane[4],
-                                lane[5],
-                            )  # fmt: skip
-                            for i in range(min(_LANES, tissue_rows[k, j] - i2)):
-                                labels[k, j, i2 + i] = np.uint8(lane[5, i])
+        n = seeds.shape[1]
+        work, lane = np.empty((2, n), np.float32), np.empty(6 * _LANES, np.float32)
+        large = np.empty((ROWS, n), np.float32)
+        small, leaf = np.empty_like(large), np.empty_like(large)
+        for i0 in range(0, labels.shape[2], 64):
+            in_large = _narrow(raster, seeds, n, i0, j0, k0, 64, 16, work, large)
+            for part in range(8 if in_large else 0):
+                i1, j1, k1 = i0 + (part & 1) * 32, j0 + (part >> 1 & 1) * 8, k0 + (part >> 2) * 8
+                in_small = _narrow(raster, large, in_large, i1, j1, k1, 32, 8, work, small)
+                for piece in range(8 if in_small else 0):
+                    i2, j2, k2 = i1 + (piece & 1) * 16, j1 + (piece >> 1 & 1) * 4, k1 + (piece >> 2) * 4
+                    in_leaf = _narrow(raster, small, in_small, i2, j2, k2, 16, 4, work, leaf)
+                    if in_leaf:
+                        _label_leaf(raster, leaf, in_leaf, i2, j2, k2, 4, lane)
+        _label_skin(labels, tissue_rows, breast_rows, j0, k0)
+
+
+@njit(cache=True)  # type: ignore[misc]
+def _label_skin(
+    labels: NDArray[np.uint8], tissue_rows: NDArray[np.int32], breast_rows: NDArray[np.int32], j0: int, k0: int
+) -> None:
+    for k in range(k0, min(labels.shape[0], k0 + 16)):
+        for j in range(j0, min(labels.shape[1], j0 + 16)):
+            for i in range(tissue_rows[k, j], breast_rows[k, j]):
+                labels[k, j, i] = _SKIN
 
 
 @njit(cache=True)  # type: ignore[misc]

@@ -198,7 +198,7 @@ def _disc_points(number: int, axes: SemiAxes, random: np.random.Generator) -> Fl
 def _interior_points(number: int, mean: float, axes: SemiAxes, border: Layers, random: np.random.Generator) -> Float64:
     """Points spread evenly over the interior, at least half a compartment away from the layers."""
     a = axes[0]
-    edge = 0.5 * np.cbrt(mean)
+    edge = 0.15 * np.cbrt(mean)
     inner = max(0.6 * border.inner, border.inner - edge / float(np.mean(axes)))
     back = min(border.retromammary + edge, 0.8 * inner * a)
     found = np.empty((0, 3))
