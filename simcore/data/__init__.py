@@ -1,0 +1,1 @@
+"""Published numbers as tables, with their sources in SOURCES.md."""

@@ -1,8 +1,30 @@
-"""Tomosynthesis projections of a label volume: geometry, line integrals, detector signal."""
+"""Tomosynthesis projections of a label volume: geometry, line integrals, detector signal.
 
+projection.integrals.line_integrals gives the line integrals of one view themselves.
+"""
+
+from __future__ import annotations
+
+from simcore.core.artifacts import Phantom, ProjectionStack
+from simcore.core.progress import Progress, silent
 from simcore.projection.acquisition import geometry_of
-from simcore.projection.integrals import line_integrals
-from simcore.projection.materials import attenuation_table
-from simcore.projection.stage import project
+from simcore.projection.spec import AcquisitionSpec, PhysicsSpec
 
-__all__ = ["attenuation_table", "geometry_of", "line_integrals", "project"]
+__all__ = ["AcquisitionSpec", "PhysicsSpec", "geometry_of", "project"]
+
+
+def project(
+    phantom: Phantom, acquisition: AcquisitionSpec, physics: PhysicsSpec, progress: Progress = silent
+) -> ProjectionStack:
+    """Monoenergetic primary projections: pixel = round(open_field_value exp(-sum mu dr)).
+
+    phantom: in the support frame (z = 0 on the top of the breast support); lifted by acquisition.air_gap_mm.
+    returns: uint16 (views, pixels_y, pixels_x), one view per angle. report: rays, max_line_integral,
+        min_pixel_value, attenuation (name of the table), mu_per_mm {tissue: value}, sampling, truncated, shadow_mm.
+    raises: GeometryError where source, phantom and detector are not in this order along z, where the open field does
+        not fit into the bits stored, or where the shadow leaves the detector and truncation is refused.
+    """
+    # Here and not above: the specification is read where nothing may load compiled code.
+    from simcore.projection.stage import project_views
+
+    return project_views(phantom, acquisition, physics, progress)

@@ -1,4 +1,4 @@
-"""The stage: a compressed phantom and an acquisition in, the detector's signal out."""
+"""The projection stage: a compressed phantom and an acquisition in, the detector's signal out."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import numpy as np
 
 from simcore.core.artifacts import Phantom, ProjectionStack
 from simcore.core.errors import GeometryError
-from simcore.core.progress import Progress, silent
+from simcore.core.progress import Progress
 from simcore.core.tissues import Tissue
 from simcore.projection import coverage
 from simcore.projection.acquisition import geometry_of
@@ -16,17 +16,10 @@ from simcore.projection.signal import pixel_values
 from simcore.projection.spec import AcquisitionSpec, PhysicsSpec
 
 
-def project(
-    phantom: Phantom, acquisition: AcquisitionSpec, physics: PhysicsSpec, progress: Progress = silent
+def project_views(
+    phantom: Phantom, acquisition: AcquisitionSpec, physics: PhysicsSpec, progress: Progress
 ) -> ProjectionStack:
-    """Monoenergetic primary projections: pixel = round(open_field_value exp(-sum mu dr)).
-
-    phantom: in the support frame (z = 0 on the top of the breast support); lifted by acquisition.air_gap_mm.
-    returns: one view per angle. report: rays, max_line_integral, min_pixel_value, attenuation (name of the table),
-        mu_per_mm {tissue: value}, sampling, truncated, shadow_mm.
-    raises: GeometryError where source, phantom and detector are not in this order along z, where the open field does
-        not fit into the bits stored, or where the shadow leaves the detector and truncation is refused.
-    """
+    """See simcore.projection.project."""
     geometry = geometry_of(acquisition)
     coverage.check_geometry(geometry, phantom.grid.moved(z=geometry.support_height))
     bits, open_field = acquisition.detector.bits, acquisition.detector.open_field_value

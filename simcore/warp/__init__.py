@@ -1,0 +1,27 @@
+"""The compressed label volume: the phantom carried along by the displacement of its mesh."""
+
+from __future__ import annotations
+
+from simcore.core.artifacts import Compression, Phantom, TetMesh
+from simcore.core.progress import Progress, silent
+from simcore.warp.spec import WarpSpec
+
+__all__ = ["WarpSpec", "deform"]
+
+
+def deform(
+    phantom: Phantom, mesh: TetMesh, compression: Compression, spec: WarpSpec, progress: Progress = silent
+) -> Phantom:
+    """The phantom after compression, by the inverse map: every voxel centre looks up its undeformed label.
+
+    phantom: labels uint8 (nz, ny, nx) in the breast frame. mesh, compression: of that phantom.
+    returns: labels with the same voxel edges in the support frame: z = 0 is the lower plate, x = 0 the chest wall,
+        y centred, the top the upper plate. Entries of ``truth`` with "centre_mm" have it carried along.
+        report: volume_before_ml, volume_after_ml, tissue_before_ml and tissue_after_ml {name: ml}, mesh_volume_ml
+        (deformed), skirt_ml (taken from outside the mesh), holes (lone air voxels within rows of tissue), grid.
+    raises: SolverError (code "inverted-element") where the displacement turns a tetrahedron inside out.
+    """
+    # Here and not above: the specification is read where nothing may load compiled code.
+    from simcore.warp.stage import deform_phantom
+
+    return deform_phantom(phantom, mesh, compression, spec, progress)

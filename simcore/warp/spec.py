@@ -9,6 +9,9 @@ class WarpSpec(Spec):
     """Each deformed tetrahedron is rasterised; every voxel looks up its undeformed label."""
 
     skirt_mm: float = quantity(
-        "how far outside the polyhedral surface the map is continued, to keep the skin it cuts off", unit="mm",
-        default=1.5, ge=0.0, le=5.0,
+        "how far outside the polyhedral surface the map is continued, to keep the skin it cuts off",
+        unit="mm",
+        default=1.5,
+        ge=0.0,
+        le=5.0,
     )

@@ -10,7 +10,9 @@ from simcore.core.artifacts import Phantom
 from simcore.core.geometry import AcquisitionGeometry, Detector
 from simcore.core.grid import Grid
 from simcore.core.tissues import MAX_TISSUES, Tissue
-from simcore.projection import attenuation_table, geometry_of, line_integrals
+from simcore.projection import geometry_of
+from simcore.projection.integrals import line_integrals
+from simcore.projection.materials import attenuation_table
 from simcore.projection.rays import project_rays
 from simcore.projection.spec import AcquisitionSpec, DetectorSpec
 

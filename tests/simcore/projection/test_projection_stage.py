@@ -9,7 +9,9 @@ from simcore.core.artifacts import Phantom
 from simcore.core.errors import Cancelled, GeometryError
 from simcore.core.grid import Grid
 from simcore.core.tissues import Tissue
-from simcore.projection import attenuation_table, geometry_of, line_integrals, project
+from simcore.projection import geometry_of, project
+from simcore.projection.integrals import line_integrals
+from simcore.projection.materials import attenuation_table
 from simcore.projection.schedule import spread
 from simcore.projection.signal import attenuation, pixel_values
 from simcore.projection.spec import AcquisitionSpec, DetectorSpec, PhysicsSpec

@@ -1,0 +1,181 @@
+"""Rasterising pieces into the output, one slab of rows at a time.
+
+A thread writes only the slabs it is given, and within a slab pieces come in their own order: where two pieces claim a
+voxel, the later one (interior) or the earlier one (skirt) wins for any number of threads.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numba
+import numpy as np
+from numpy.typing import NDArray
+
+from simcore.core.tissues import MAX_TISSUES
+from simcore.warp.maps import TetMaps
+from simcore.warp.pieces import Pieces
+
+SLAB_ROWS = 8
+FLAT = 1e-11
+"""A weight that changes less than this from voxel to voxel along x counts as constant along x."""
+
+
+def rasterise(pieces: Pieces, maps: TetMaps, source: NDArray[np.uint8], out: NDArray[np.uint8]) -> None:
+    """Write the labels of all pieces into out, uint8 (nz, ny, nx).
+
+    Pieces with a face ``outside`` write only where out is still air. Labels outside of ``source`` are air, but those
+    below x = 0 are those of its first layer.
+    """
+    start, order = _slabs(pieces.bounds, -(-out.shape[1] // SLAB_ROWS))
+    _rasterise(
+        start, order, pieces.tet, pieces.slack, pieces.outside, pieces.bounds,
+        maps.barycentric, maps.origin, source, out,
+    )  # fmt: skip
+
+
+@numba.njit(cache=True)
+def _slabs(bounds: NDArray[np.int64], slabs: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Pieces of each slab of rows: order[start[s]:start[s + 1]], ascending."""
+    start = np.zeros(slabs + 1, np.int64)
+    for p in range(len(bounds)):
+        if bounds[p, 0, 1] <= bounds[p, 1, 1]:
+            for slab in range(bounds[p, 0, 1] // SLAB_ROWS, bounds[p, 1, 1] // SLAB_ROWS + 1):
+                start[slab + 1] += 1
+    start = np.cumsum(start)
+    order = np.empty(start[-1], np.int64)
+    position = start[:-1].copy()
+    for p in range(len(bounds)):
+        if bounds[p, 0, 1] <= bounds[p, 1, 1]:
+            for slab in range(bounds[p, 0, 1] // SLAB_ROWS, bounds[p, 1, 1] // SLAB_ROWS + 1):
+                order[position[slab]] = p
+                position[slab] += 1
+    return start, order
+
+
+@numba.njit(parallel=True, cache=True, error_model="numpy")
+def _rasterise(
+    start: NDArray[np.int64],
+    order: NDArray[np.int64],
+    tet: NDArray[np.int64],
+    slack: NDArray[np.float64],
+    outside: NDArray[np.int64],
+    bounds: NDArray[np.int64],
+    barycentric: NDArray[np.float64],
+    origin: NDArray[np.float64],
+    source: NDArray[np.uint8],
+    out: NDArray[np.uint8],
+) -> None:
+    slabs = len(start) - 1
+    # Slabs 0, 7, 14, .. come first: consecutive ones, which are all thick or all thin, go to different threads.
+    stride = 7 if slabs % 7 else 5 if slabs % 5 else 1
+    for task in numba.prange(slabs):
+        slab = task * stride % slabs
+        for entry in range(start[slab], start[slab + 1]):
+            p = order[entry]
+            j_first = max(bounds[p, 0, 1], slab * SLAB_ROWS)
+            j_last = min(bounds[p, 1, 1], slab * SLAB_ROWS + SLAB_ROWS - 1)
+            weight = barycentric[tet[p]]
+            place = origin[tet[p]]
+            for k in range(bounds[p, 0, 2], bounds[p, 1, 2] + 1):
+                for j in range(j_first, j_last + 1):
+                    low, high = _interval(weight, slack[p], outside[p], j, k, bounds[p, 0, 0], bounds[p, 1, 0])
+                    if low <= high:
+                        _fill(source, place, low, high, j, k, outside[p] >= 0, out)
+
+
+@numba.njit(cache=True, error_model="numpy")
+def _interval(
+    weight: NDArray[np.float64], slack: NDArray[np.float64], outside: int, j: int, k: int, first: int, last: int
+) -> tuple[int, int]:
+    """First and last voxel i of row (j, k) in a piece; first > last: none."""
+    low, high = float(first), float(last)
+    for n in range(4):
+        value = weight[n, 0] + weight[n, 2] * j + weight[n, 3] * k
+        slope = weight[n, 1]
+        if slope > FLAT:
+            low = max(low, -(value + slack[n]) / slope)
+        elif slope < -FLAT:
+            high = min(high, -(value + slack[n]) / slope)
+        elif value < -slack[n]:
+            return 1, 0
+        if n == outside:
+            if slope > FLAT:
+                high = min(high, -value / slope)
+            elif slope < -FLAT:
+                low = max(low, -value / slope)
+            elif value > 0.0:
+                return 1, 0
+    if not low <= high:
+        return 1, 0
+    return math.ceil(low), math.floor(high)
+
+
+@numba.njit(cache=True, error_model="numpy")
+def _fill(
+    source: NDArray[np.uint8],
+    place: NDArray[np.float64],
+    first: int,
+    last: int,
+    j: int,
+    k: int,
+    only_air: bool,
+    out: NDArray[np.uint8],
+) -> None:
+    """Labels of the voxels first..last of row (j, k)."""
+    nz, ny, nx = source.shape
+    x = place[0, 0] + place[0, 1] * first + place[0, 2] * j + place[0, 3] * k
+    y = place[1, 0] + place[1, 1] * first + place[1, 2] * j + place[1, 3] * k
+    z = place[2, 0] + place[2, 1] * first + place[2, 2] * j + place[2, 3] * k
+    dx, dy, dz = place[0, 1], place[1, 1], place[2, 1]
+    row = out[k, j]
+    steps = last - first
+    inside = _spans(x, steps * dx, nx) and _spans(y, steps * dy, ny) and _spans(z, steps * dz, nz)
+    if inside and not only_air:
+        for step in range(steps + 1):
+            row[np.uint64(first + step)] = source[
+                np.uint64(z + step * dz), np.uint64(y + step * dy), np.uint64(x + step * dx)
+            ]
+        return
+    for step in range(steps + 1):
+        i = first + step
+        if only_air and row[i] != 0:
+            continue
+        at_x = max(math.floor(x + step * dx), 0)
+        at_y = math.floor(y + step * dy)
+        at_z = math.floor(z + step * dz)
+        if at_x < nx and 0 <= at_y < ny and 0 <= at_z < nz:
+            row[i] = source[at_z, at_y, at_x]
+        elif not only_air:
+            row[i] = 0
+
+
+@numba.njit(cache=True)
+def _spans(start: float, change: float, size: int) -> bool:
+    """True where start and start + change both lie in [0, size)."""
+    return min(start, start + change) >= 0.0 and max(start, start + change) < size
+
+
+@numba.njit(parallel=True, cache=True)
+def census(labels: NDArray[np.uint8]) -> tuple[NDArray[np.int64], int]:
+    """(voxels of every label (MAX_TISSUES,), air voxels with tissue on both sides along x)."""
+    nz, ny, nx = labels.shape
+    counts = np.zeros((nz, MAX_TISSUES), np.int64)
+    holes = np.zeros(nz, np.int64)
+    for k in numba.prange(nz):
+        # Two tables: neighbours are often alike, and the second addition need not wait for the first.
+        first, second = np.zeros(256, np.int64), np.zeros(256, np.int64)
+        for j in range(ny):
+            row = labels[k, j]
+            for i in range(0, nx - 1, 2):
+                first[row[i]] += 1
+                second[row[i + 1]] += 1
+            if nx % 2:
+                first[row[nx - 1]] += 1
+            lone = 0
+            for i in range(1, nx - 1):
+                lone += (row[i] == 0) & (row[i - 1] != 0) & (row[i + 1] != 0)
+            holes[k] += lone
+        for label in range(MAX_TISSUES):
+            counts[k, label] = first[label] + second[label]
+    return counts.sum(axis=0), holes.sum()
