@@ -1,0 +1,34 @@
+"""``python -m api``: the API with the settings of the environment."""
+
+import sys
+
+import uvicorn
+
+from api.app import create_app
+from simcore.core.errors import SimulationError
+from worker import logs
+from worker.settings import Settings
+
+# Streams of events never end by themselves; a server that stops waits for nobody longer than this.
+STOP_SECONDS = 2
+
+
+def main() -> None:
+    """Serves until SIGTERM or SIGINT."""
+    settings = Settings.load()
+    logs.configure(settings.log_level)
+    uvicorn.run(
+        create_app(settings),
+        host=settings.host.strip("[]"),
+        port=settings.port,
+        log_config=None,
+        access_log=settings.log_level == "DEBUG",
+        timeout_graceful_shutdown=STOP_SECONDS,
+        server_header=False,
+    )
+
+
+try:
+    main()
+except SimulationError as error:
+    sys.exit(f"tomosim api: {error}")

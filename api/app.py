@@ -1,0 +1,93 @@
+"""The HTTP API. ``create_app`` makes it; ``api.app:app`` is made when a server first asks for it."""
+
+from __future__ import annotations
+
+from collections.abc import AsyncIterator
+from contextlib import asynccontextmanager
+from typing import Any
+
+from fastapi import FastAPI
+from fastapi.concurrency import run_in_threadpool
+
+from api import artifacts, catalog, errors, events, health, page, simulations
+from api.deps import Services
+from api.guard import Guard
+from api.resources import PREFIX
+from simcore import __version__
+from simcore.spec import SimulationSpec
+from worker.messages import Messenger
+from worker.reaper import Reaper
+from worker.settings import Settings
+
+DESCRIPTION = (
+    "Simulation of digital breast tomosynthesis: a specification goes in, DICOM with known ground truth comes out. "
+    "Errors are application/problem+json with a stable code."
+)
+
+
+def create_app(settings: Settings | None = None, messenger: Messenger | None = None, sweep: bool = True) -> FastAPI:
+    """The application.
+
+    settings: those of the environment where not given. messenger: the broker of the settings where not given.
+    sweep: whether it sends and takes back lost cases every few seconds (any number of applications may).
+    """
+    chosen = settings or Settings.load()
+
+    @asynccontextmanager
+    async def lifespan(app: FastAPI) -> AsyncIterator[None]:
+        served = await run_in_threadpool(Services.open, chosen, messenger)
+        app.state.services = served
+        reaper = Reaper(chosen, served.jobs, served.fleet, served.messenger)
+        if sweep:
+            reaper.start()
+        yield
+        if sweep:
+            await run_in_threadpool(reaper.stop)
+        served.close()
+
+    app = FastAPI(
+        title="tomosim",
+        version=__version__,
+        description=DESCRIPTION,
+        lifespan=lifespan,
+        redoc_url=None,
+        redirect_slashes=False,
+        responses={
+            "default": {"description": "a problem", "content": {"application/problem+json": {"schema": _PROBLEM}}}
+        },
+    )
+    errors.install(app)
+    app.add_middleware(Guard, settings=chosen)
+    for module in (simulations, events, artifacts, catalog):
+        app.include_router(module.router, prefix=PREFIX)
+    app.include_router(health.router)
+    app.include_router(page.router)
+    _describe_specification(app)
+    return app
+
+
+_PROBLEM = {"$ref": "#/components/schemas/Problem"}
+
+
+def _describe_specification(app: FastAPI) -> None:
+    """Adds the documents that are read and written by hand to the OpenAPI description."""
+    generate = app.openapi
+
+    def openapi() -> dict[str, Any]:
+        if app.openapi_schema is None:
+            description = generate()
+            schemas = description.setdefault("components", {}).setdefault("schemas", {})
+            for model in (SimulationSpec, errors.Problem):
+                schema = model.model_json_schema(ref_template="#/components/schemas/{model}")
+                schemas.update(schema.pop("$defs", {}))
+                schemas[model.__name__] = schema
+            app.openapi_schema = description
+        return app.openapi_schema
+
+    app.openapi = openapi  # type: ignore[method-assign]
+
+
+def __getattr__(name: str) -> FastAPI:
+    if name == "app":
+        return create_app()
+    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

@@ -1,0 +1,135 @@
+"""/v1/simulations/{id}/artifacts, /archive, /manifest: the files of a case that succeeded."""
+
+from __future__ import annotations
+
+import json
+import zlib
+from collections.abc import Iterator
+from datetime import UTC, datetime
+from typing import Annotated, Any, Literal
+from urllib.parse import quote
+
+from fastapi import APIRouter, Query, Request, Response
+from fastapi.responses import StreamingResponse
+from stream_zip import NO_COMPRESSION_64, stream_zip
+
+from api import files
+from api.deps import Served, Services
+from api.errors import ApiError
+from api.resources import ArtifactList, ArtifactResource, simulation_path
+from simcore.core.store import FileRef, Store
+
+Json = dict[str, Any]
+
+FILE_MODE = 0o100644
+
+_BINARY: Json = {"schema": {"type": "string", "format": "binary"}}
+_FILE_RESPONSES: dict[int | str, Json] = {
+    200: {"content": {"application/octet-stream": _BINARY}},
+    206: {"description": "the range that was asked for"},
+    304: {"description": "not changed"},
+    410: {"description": "expired: not in the store any more"},
+    416: {"description": "range-not-satisfiable"},
+}
+
+router = APIRouter(prefix="/simulations/{identifier}", tags=["results"])
+
+
+@router.get("/artifacts")
+def list_artifacts(identifier: str, served: Served) -> ArtifactList:
+    """Every file of the case with its size and digest."""
+    manifest = finished_manifest(served, identifier)
+    path = simulation_path(identifier)
+    stages = _stage_of_files(manifest)
+    items = [
+        ArtifactResource(
+            name=name,
+            size=ref.size,
+            sha256=ref.sha256,
+            media_type=files.media_type(name),
+            stage=stages.get(name),
+            href=f"{path}/artifacts/{quote(name)}",
+        )
+        for name, ref in file_refs(manifest).items()
+    ]
+    links = {"simulation": path, "archive": f"{path}/archive", "manifest": f"{path}/manifest"}
+    return ArtifactList(items=items, links=links)
+
+
+@router.head("/artifacts/{name:path}", include_in_schema=False)
+@router.get("/artifacts/{name:path}", response_class=Response, responses=_FILE_RESPONSES)
+def get_artifact(identifier: str, name: str, served: Served, request: Request) -> Response:
+    """One file; byte ranges are served. Its entity tag is its SHA-256: the content never changes."""
+    refs = file_refs(finished_manifest(served, identifier))
+    if name not in refs:
+        raise ApiError(404, "artifact-not-found", f"the simulation has no file {name!r}")
+    return files.file_response(request, served.store.path(refs[name]), refs[name], name)
+
+
+@router.get("/manifest")
+def get_manifest(identifier: str, served: Served) -> Response:
+    """Specification, seeds, versions, stage keys, seconds, and the digest of every file."""
+    content = manifest_bytes(finished_manifest(served, identifier))
+    return Response(content, media_type="application/json")
+
+
+@router.get("/archive", response_class=StreamingResponse, responses={200: {"content": {"application/zip": _BINARY}}})
+def get_archive(
+    identifier: str,
+    served: Served,
+    only: Annotated[Literal["dicom", "preview"] | None, Query(description="files of this kind alone")] = None,
+) -> StreamingResponse:
+    """Files and manifest.json as a zip archive (zip64, stored), made while it is sent."""
+    manifest = finished_manifest(served, identifier)
+    refs = file_refs(manifest)
+    if only is not None:
+        stages = _stage_of_files(manifest)
+        refs = {name: ref for name, ref in refs.items() if stages.get(name) == only}
+    for name, ref in refs.items():
+        if not served.store.path(ref).exists():
+            raise ApiError(410, "expired", f"{name} is not in the store any more: post the case again")
+    finished = served.jobs.get(identifier).finished or 0.0
+    members = _members(served.store, manifest, refs, datetime.fromtimestamp(finished, UTC))
+    return StreamingResponse(
+        stream_zip(members, chunk_size=files.CHUNK_BYTES),
+        media_type="application/zip",
+        headers={"Content-Disposition": f'attachment; filename="tomosim-{identifier}.zip"'},
+    )
+
+
+def finished_manifest(served: Services, identifier: str) -> Json:
+    """The manifest of a case. raises: ApiError 409 not-finished where it has no results"""
+    manifest = served.jobs.manifest(identifier)
+    if manifest is None:
+        state = served.jobs.get(identifier).state
+        raise ApiError(409, "not-finished", f"the simulation is {state}; only one that succeeded has files")
+    return manifest
+
+
+def file_refs(manifest: Json) -> dict[str, FileRef]:
+    """The files of a case by name."""
+    return {name: FileRef(**ref) for name, ref in manifest["files"].items()}
+
+
+def manifest_bytes(manifest: Json) -> bytes:
+    """manifest.json as ``tomosim simulate`` writes it."""
+    return (json.dumps(manifest, indent=1) + "\n").encode()
+
+
+def _stage_of_files(manifest: Json) -> dict[str, str]:
+    return {name: stage["name"] for stage in manifest.get("stages", ()) for name in stage.get("outputs", ())}
+
+
+Member = tuple[str, datetime, int, Any, Iterator[bytes]]
+
+
+def _members(store: Store, manifest: Json, refs: dict[str, FileRef], when: datetime) -> Iterator[Member]:
+    content = manifest_bytes(manifest)
+    method = NO_COMPRESSION_64(len(content), zlib.crc32(content))
+    yield "manifest.json", when, FILE_MODE, method, iter([content])
+    for name, ref in refs.items():
+        path = store.path(ref)
+        checksum = 0
+        for chunk in files.read_chunks(path):
+            checksum = zlib.crc32(chunk, checksum)
+        yield name, when, FILE_MODE, NO_COMPRESSION_64(ref.size, checksum), files.read_chunks(path)

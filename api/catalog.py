@@ -1,0 +1,125 @@
+"""/v1/presets, /v1/schemas, /v1/service-info: what can be asked for."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from fastapi import APIRouter
+from fastapi.responses import JSONResponse
+from pydantic import BaseModel
+
+from api.deps import Served
+from api.errors import ApiError
+from api.resources import PREFIX
+from simcore import __version__, presets
+from simcore.core.errors import SpecError
+from simcore.spec import SimulationSpec
+from worker.contract import QUEUES, STATES
+
+router = APIRouter(tags=["catalog"])
+
+SCHEMAS = {"simulation": SimulationSpec}
+
+
+class PresetResource(BaseModel):
+    """A ready specification."""
+
+    name: str
+    description: str
+    href: str
+    specification: dict[str, Any] | None = None
+
+
+class Listing(BaseModel):
+    """Things with names."""
+
+    items: list[dict[str, str]]
+
+
+class PresetList(BaseModel):
+    """All presets, without their specifications."""
+
+    items: list[PresetResource]
+
+
+class Limits(BaseModel):
+    """What is refused beyond."""
+
+    memory_bytes: int
+    body_bytes: int
+    seconds: float
+    attempts: int
+
+
+class ServiceInfo(BaseModel):
+    """What answers here."""
+
+    name: str
+    version: str
+    api_version: str
+    states: list[str]
+    queues: list[str]
+    limits: Limits
+    threads_per_case: int
+    links: dict[str, str]
+
+
+@router.get("/presets")
+def list_presets() -> PresetList:
+    """The names of all presets."""
+    return PresetList(items=[_preset(name) for name in presets.names()])
+
+
+@router.get("/presets/{name}")
+def get_preset(name: str) -> PresetResource:
+    """One preset with its specification, ready to be posted."""
+    try:
+        specification = presets.get(name).model_dump(mode="json")
+    except SpecError as error:
+        raise ApiError(404, "preset-not-found", str(error)) from None
+    return _preset(name).model_copy(update={"specification": specification})
+
+
+def _preset(name: str) -> PresetResource:
+    return PresetResource(name=name, description=presets.describe(name), href=f"{PREFIX}/presets/{name}")
+
+
+@router.get("/schemas")
+def list_schemas() -> Listing:
+    """The documents whose JSON Schema is here."""
+    return Listing(items=[{"name": name, "href": f"{PREFIX}/schemas/{name}"} for name in SCHEMAS])
+
+
+@router.get("/schemas/{name}")
+def get_schema(name: str) -> JSONResponse:
+    """JSON Schema (2020-12) of a document; quantities carry their ``unit``."""
+    if name not in SCHEMAS:
+        raise ApiError(404, "schema-not-found", f"there is no schema {name!r}; there are: {', '.join(SCHEMAS)}")
+    schema = {"$schema": "https://json-schema.org/draft/2020-12/schema", **SCHEMAS[name].model_json_schema()}
+    return JSONResponse(schema, media_type="application/schema+json")
+
+
+@router.get("/service-info")
+def service_info(served: Served) -> ServiceInfo:
+    """Version and limits."""
+    settings = served.settings
+    return ServiceInfo(
+        name="tomosim",
+        version=__version__,
+        api_version="v1",
+        states=list(STATES),
+        queues=list(QUEUES),
+        limits=Limits(
+            memory_bytes=settings.memory_limit,
+            body_bytes=settings.body_limit_bytes,
+            seconds=settings.job_timeout_seconds,
+            attempts=settings.max_attempts,
+        ),
+        threads_per_case=settings.threads,
+        links={
+            "simulations": f"{PREFIX}/simulations",
+            "presets": f"{PREFIX}/presets",
+            "schemas": f"{PREFIX}/schemas",
+            "openapi": "/openapi.json",
+        },
+    )

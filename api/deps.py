@@ -1,0 +1,83 @@
+"""What the endpoints work with, and how a posted specification is read."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Annotated
+
+from fastapi import Depends, Request
+
+from api.errors import ApiError
+from simcore.core.store import Store
+from simcore.spec import SimulationSpec
+from worker.database import connect, create_tables
+from worker.fleet import Fleet
+from worker.jobs import Jobs
+from worker.messages import CeleryMessenger, Messenger
+from worker.settings import Settings
+
+
+@dataclass(frozen=True)
+class Services:
+    """The truth (jobs, fleet), the broker and the files."""
+
+    settings: Settings
+    jobs: Jobs
+    fleet: Fleet
+    messenger: Messenger
+    store: Store
+
+    @classmethod
+    def open(cls, settings: Settings, messenger: Messenger | None = None) -> Services:
+        """Connects to the database (its tables are made where they are not there) and opens the store."""
+        engine = connect(settings.resolved_database_url)
+        create_tables(engine)
+        return cls(
+            settings,
+            Jobs(engine, settings.lease_seconds),
+            Fleet(engine),
+            messenger or CeleryMessenger(settings),
+            Store(settings.store_folder),
+        )
+
+    def close(self) -> None:
+        self.jobs.engine.dispose()
+
+
+def services(request: Request) -> Services:
+    """The services of the running application."""
+    found: Services = request.app.state.services
+    return found
+
+
+Served = Annotated[Services, Depends(services)]
+
+
+async def _posted_specification(request: Request) -> SimulationSpec:
+    """The specification in the body.
+
+    raises: ApiError 413, 415; SpecError naming every wrong field.
+    """
+    limit = services(request).settings.body_limit_bytes
+    kind = request.headers.get("content-type", "").partition(";")[0].strip().lower()
+    if kind != "application/json" and not kind.endswith("+json"):
+        # Also keeps out pages of other sites: a browser sends them JSON only after asking us.
+        raise ApiError(415, "unsupported-media-type", f"Content-Type = {kind!r}: the body must be application/json")
+    return SimulationSpec.parse(await read_body(request, limit))
+
+
+async def read_body(request: Request, limit: int) -> bytes:
+    """The body of a request. raises: ApiError 413 as soon as it is longer than ``limit`` bytes"""
+    too_large = ApiError(413, "too-large", f"the body is longer than the {limit} bytes that are allowed")
+    announced = request.headers.get("content-length", "0")
+    if announced.isdigit() and int(announced) > limit:
+        raise too_large
+    body = bytearray()
+    async for chunk in request.stream():
+        body += chunk
+        if len(body) > limit:
+            raise too_large
+    return bytes(body)
+
+
+PostedSpecification = Annotated[SimulationSpec, Depends(_posted_specification)]

@@ -1,0 +1,153 @@
+"""Errors as application/problem+json (RFC 9457) with a stable ``code``."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Mapping
+from http import HTTPStatus
+from typing import Any
+
+from fastapi import FastAPI, Request
+from fastapi.exceptions import RequestValidationError
+from fastapi.responses import JSONResponse, Response
+from pydantic import BaseModel, Field
+from starlette.exceptions import HTTPException
+from starlette.routing import Match
+
+from simcore.core.errors import ResourceLimitError, SimulationError, SpecError, StoreError
+from worker.jobs import NotFoundError
+
+log = logging.getLogger(__name__)
+
+METHODS = ("GET", "HEAD", "POST", "PUT", "PATCH", "DELETE")
+
+_CODES = {404: "not-found", 405: "method-not-allowed", 413: "too-large", 415: "unsupported-media-type"}
+
+
+class ProblemItem(BaseModel):
+    """One thing that is wrong: where it stands and what is allowed."""
+
+    pointer: str | None = Field(None, description="JSON Pointer (RFC 6901) into the body")
+    parameter: str | None = Field(None, description="name of the query parameter or header")
+    value: Any = None
+    detail: str
+
+
+class Problem(BaseModel):
+    """Body of every error answer."""
+
+    type: str
+    title: str
+    status: int
+    code: str = Field(description="stable, machine-readable")
+    detail: str
+    instance: str
+    errors: list[ProblemItem] = []
+
+
+class ApiError(Exception):
+    """An error answer."""
+
+    def __init__(
+        self,
+        status: int,
+        code: str,
+        detail: str,
+        *,
+        errors: list[dict[str, Any]] | None = None,
+        headers: Mapping[str, str] | None = None,
+        **more: Any,
+    ) -> None:
+        super().__init__(detail)
+        self.status = status
+        self.code = code
+        self.detail = detail
+        self.errors = errors
+        self.headers = headers
+        self.more = more
+
+
+def problem_response(path: str, error: ApiError) -> JSONResponse:
+    """The answer for an error at ``path``."""
+    body = {
+        "type": f"urn:tomosim:problem:{error.code}",
+        "title": HTTPStatus(error.status).phrase,
+        "status": error.status,
+        "code": error.code,
+        "detail": error.detail,
+        "instance": path,
+        **({"errors": error.errors} if error.errors else {}),
+        **error.more,
+    }
+    return JSONResponse(body, error.status, error.headers, media_type="application/problem+json")
+
+
+def from_simulation_error(error: SimulationError) -> ApiError:
+    """What a client is told where simcore refuses a request."""
+    if isinstance(error, SpecError):
+        code = "resource-limit" if isinstance(error, ResourceLimitError) else "invalid-request"
+        return ApiError(422, code, str(error), errors=[_problem_item(p) for p in error.problems], reason=error.code)
+    if isinstance(error, StoreError) and error.code == "storage-full":
+        return ApiError(507, "storage-full", str(error))
+    return ApiError(500, error.code, str(error))
+
+
+def _problem_item(problem: dict[str, Any]) -> dict[str, Any]:
+    field = str(problem["field"])
+    # Field names have neither "/" nor "~", so nothing has to be escaped. The whole document is "".
+    pointer = "" if field.startswith("(") else "/" + field.replace(".", "/")
+    return {"pointer": pointer, "value": problem.get("value"), "detail": problem["message"]}
+
+
+def allowed_methods(request: Request) -> list[str]:
+    """The methods of all routes on this path (a router tells only those of the first one it finds)."""
+    routes = request.app.router.routes
+    return [
+        method
+        for method in METHODS
+        if any(route.matches({**request.scope, "method": method})[0] == Match.FULL for route in routes)
+    ]
+
+
+def install(app: FastAPI) -> None:
+    """Makes every error of ``app`` a problem document."""
+
+    @app.exception_handler(ApiError)
+    async def _api_error(request: Request, error: ApiError) -> Response:
+        return problem_response(request.url.path, error)
+
+    @app.exception_handler(NotFoundError)
+    async def _not_found(request: Request, error: NotFoundError) -> Response:
+        answer = ApiError(404, "simulation-not-found", f"there is no simulation {error}")
+        return problem_response(request.url.path, answer)
+
+    @app.exception_handler(SimulationError)
+    async def _simulation_error(request: Request, error: SimulationError) -> Response:
+        return problem_response(request.url.path, from_simulation_error(error))
+
+    @app.exception_handler(HTTPException)
+    async def _http_error(request: Request, error: HTTPException) -> Response:
+        headers = dict(error.headers or {})
+        detail = str(error.detail)
+        if error.status_code == 404:
+            detail = f"there is nothing at {request.url.path}"
+        if error.status_code == 405:
+            headers["Allow"] = ", ".join(allowed_methods(request))
+            detail = f"{request.method} is not possible here; allowed: {headers['Allow']}"
+        code = _CODES.get(error.status_code, f"http-{error.status_code}")
+        return problem_response(request.url.path, ApiError(error.status_code, code, detail, headers=headers))
+
+    @app.exception_handler(RequestValidationError)
+    async def _invalid(request: Request, error: RequestValidationError) -> Response:
+        items = [
+            {"parameter": str(item["loc"][-1]), "value": item.get("input"), "detail": item["msg"]}
+            for item in error.errors()
+        ]
+        detail = "; ".join(f"{item['parameter']} = {item['value']!r}: {item['detail']}" for item in items)
+        return problem_response(request.url.path, ApiError(422, "invalid-request", detail, errors=items))
+
+    @app.exception_handler(Exception)
+    async def _unexpected(request: Request, error: Exception) -> Response:
+        log.exception("request failed", extra={"path": request.url.path}, exc_info=error)
+        detail = "a mistake in tomosim; the log of the API has the details"
+        return problem_response(request.url.path, ApiError(500, "internal-error", detail))

@@ -1,0 +1,85 @@
+"""/v1/simulations/{id}/events: what happens to a case, as server-sent events."""
+
+from __future__ import annotations
+
+import json
+import time
+from collections.abc import AsyncIterator
+from typing import Annotated
+
+import anyio
+from fastapi import APIRouter, Header
+from fastapi.concurrency import run_in_threadpool
+from fastapi.responses import StreamingResponse
+
+from api.deps import Served
+from api.errors import ApiError
+from api.resources import simulation_path
+from worker.contract import EVENT_STATE, FINAL_STATES
+from worker.jobs import Event, Jobs
+
+POLL_SECONDS = 0.3
+HEARTBEAT_SECONDS = 15.0
+RECONNECT_MILLISECONDS = 2000
+
+router = APIRouter(prefix="/simulations", tags=["simulations"])
+
+
+@router.get(
+    "/{identifier}/events",
+    response_class=StreamingResponse,
+    responses={200: {"content": {"text/event-stream": {}}}, 400: {"description": "bad-event-id"}},
+)
+def events(
+    identifier: str,
+    served: Served,
+    last_event_id: Annotated[str | None, Header(description="the last event seen; a number")] = None,
+) -> StreamingResponse:
+    """Events ``state`` and ``progress`` from the first (or after Last-Event-ID) to the final state."""
+    served.jobs.get(identifier)
+    return StreamingResponse(
+        _stream(served.jobs, identifier, _sequence(last_event_id)),
+        media_type="text/event-stream",
+        headers={"Cache-Control": "no-store", "X-Accel-Buffering": "no"},
+    )
+
+
+def _sequence(last_event_id: str | None) -> int:
+    if not last_event_id:
+        return 0
+    if last_event_id.isascii() and last_event_id.isdigit() and len(last_event_id) <= 9:
+        return int(last_event_id)
+    raise ApiError(400, "bad-event-id", f"Last-Event-ID = {last_event_id[:80]!r}: a number that this stream sent")
+
+
+async def _stream(jobs: Jobs, identifier: str, sequence: int) -> AsyncIterator[str]:
+    yield f"retry: {RECONNECT_MILLISECONDS}\n\n"
+    spoke = time.monotonic()
+    while True:
+        for event in await run_in_threadpool(jobs.events_after, identifier, sequence):
+            sequence = event.sequence
+            spoke = time.monotonic()
+            yield _format(identifier, event)
+        # The row says when there is nothing more to come: a retried case goes on after a final event, and a client
+        # that has seen the last event must not wait for another.
+        if await run_in_threadpool(_ended, jobs, identifier, sequence):
+            return
+        if time.monotonic() - spoke > HEARTBEAT_SECONDS:
+            spoke = time.monotonic()
+            yield ": still here\n\n"
+        await anyio.sleep(POLL_SECONDS)
+
+
+def _ended(jobs: Jobs, identifier: str, sequence: int) -> bool:
+    try:
+        row = jobs.get(identifier)
+    except LookupError:
+        return True
+    return row.is_final and row.revision <= sequence
+
+
+def _format(identifier: str, event: Event) -> str:
+    data = {**event.data, "at": event.at}
+    if event.kind == EVENT_STATE and event.data.get("state") in FINAL_STATES:
+        data["simulation"] = simulation_path(identifier)
+    return f"id: {event.sequence}\nevent: {event.kind}\ndata: {json.dumps(data)}\n\n"

@@ -1,0 +1,129 @@
+"""What clients see: the documents of the API."""
+
+from __future__ import annotations
+
+import time
+from datetime import UTC, datetime
+from typing import Any
+
+from pydantic import BaseModel, Field
+
+from simcore.estimate import Estimate
+from worker.contract import State
+from worker.jobs import Simulation
+
+PREFIX = "/v1"
+
+
+class ProgressResource(BaseModel):
+    """Where a case stands."""
+
+    stage: str | None = Field(description="the stage that is computed, or was last")
+    stages_done: int
+    stages_total: int
+    fraction: float = Field(description="of the current stage, 0 to 1")
+    message: str
+    seconds_left: float | None = Field(description="a guess from the estimate, while it runs [s]")
+
+
+class FailureResource(BaseModel):
+    """Why a case failed."""
+
+    kind: str = Field(description="user: change the specification; simulation: the numerics failed; system: retry")
+    code: str = Field(description="stable, machine-readable")
+    message: str
+    problems: list[dict[str, Any]] = []
+
+
+class SimulationResource(BaseModel):
+    """One case."""
+
+    id: str
+    name: str
+    state: State
+    revision: int = Field(description="raised with every change")
+    attempt: int
+    created_at: datetime
+    started_at: datetime | None
+    finished_at: datetime | None
+    progress: ProgressResource
+    estimate: Estimate
+    error: FailureResource | None
+    results: dict[str, Any] | None = Field(description="main numbers of a case that succeeded")
+    specification: dict[str, Any] | None = Field(None, description="left out of lists")
+    links: dict[str, str]
+
+
+class SimulationPage(BaseModel):
+    """Some cases, the newest first; the next page is in the Link header and in ``next``."""
+
+    items: list[SimulationResource]
+    next: str | None
+
+
+class ArtifactResource(BaseModel):
+    """One file of a case that succeeded."""
+
+    name: str
+    size: int = Field(description="[byte]")
+    sha256: str
+    media_type: str
+    stage: str | None = Field(description="the stage that made it")
+    href: str
+
+
+class ArtifactList(BaseModel):
+    """All files of a case that succeeded."""
+
+    items: list[ArtifactResource]
+    links: dict[str, str]
+
+
+def simulation_path(identifier: str) -> str:
+    return f"{PREFIX}/simulations/{identifier}"
+
+
+def simulation_resource(row: Simulation, specification: dict[str, Any] | None = None) -> SimulationResource:
+    """The document of a case."""
+    path = simulation_path(row.id)
+    links = {"self": path, "events": f"{path}/events"}
+    if row.state == "succeeded":
+        links |= {name: f"{path}/{name}" for name in ("artifacts", "archive", "manifest")}
+    elif row.is_final:
+        links["retry"] = f"{path}/retry"
+    else:
+        links["cancel"] = f"{path}/cancel"
+    return SimulationResource(
+        id=row.id,
+        name=row.name,
+        state=row.state,
+        revision=row.revision,
+        attempt=row.attempt,
+        created_at=_when(row.created),
+        started_at=_when(row.started) if row.started else None,
+        finished_at=_when(row.finished) if row.finished else None,
+        progress=_progress(row),
+        estimate=Estimate(**row.estimate),
+        error=FailureResource(**row.error) if row.error else None,
+        results=row.results,
+        specification=specification,
+        links=links,
+    )
+
+
+def _progress(row: Simulation) -> ProgressResource:
+    left = None
+    if row.state == "running" and row.started is not None:
+        left = round(max(0.0, row.estimate["seconds"] - (time.time() - row.started)), 1)
+    return ProgressResource(
+        stage=row.stage,
+        stages_done=row.stages_done,
+        stages_total=row.stages_total,
+        fraction=row.fraction,
+        message=row.message,
+        seconds_left=left,
+    )
+
+
+def _when(seconds: float) -> datetime:
+    return datetime.fromtimestamp(seconds, UTC)

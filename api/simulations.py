@@ -1,0 +1,144 @@
+"""/v1/simulations: post, look, cancel, retry, forget."""
+
+from __future__ import annotations
+
+import logging
+from typing import Annotated, Any
+
+from fastapi import APIRouter, Header, Query, Request, Response
+
+from api import pages
+from api.conditions import none_match
+from api.deps import PostedSpecification, Served, Services
+from api.errors import ApiError
+from api.resources import SimulationPage, SimulationResource, simulation_path, simulation_resource
+from simcore import estimate
+from simcore.estimate import Estimate
+from simcore.spec import SimulationSpec
+from worker.contract import State
+from worker.jobs import Simulation, StateError
+
+log = logging.getLogger(__name__)
+
+RETRY_AFTER = {"Retry-After": "1"}
+"""Seconds after which it is worth looking again."""
+
+_BODY: dict[str, Any] = {
+    "requestBody": {
+        "required": True,
+        "content": {"application/json": {"schema": {"$ref": "#/components/schemas/SimulationSpec"}}},
+    }
+}
+
+router = APIRouter(prefix="/simulations", tags=["simulations"])
+
+
+@router.post("", status_code=202, openapi_extra=_BODY)
+def create(
+    specification: PostedSpecification, served: Served, request: Request, response: Response
+) -> SimulationResource:
+    """Takes a case into the queue."""
+    needs = _check(specification, served)
+    served.store.require_space(needs.storage_bytes)
+    data = specification.model_dump(mode="json")
+    row = served.jobs.create(data, needs.model_dump(mode="json"), specification.name)
+    _send(served, row)
+    response.headers.update({"Location": str(request.base_url).rstrip("/") + simulation_path(row.id), **RETRY_AFTER})
+    return simulation_resource(row, data)
+
+
+@router.post("/estimate", openapi_extra=_BODY)
+def estimate_needs(specification: PostedSpecification, served: Served) -> Estimate:
+    """What a case would need; nothing is kept."""
+    return _check(specification, served)
+
+
+@router.get("")
+def list_simulations(
+    served: Served,
+    request: Request,
+    response: Response,
+    state: Annotated[State | None, Query(description="only cases in this state")] = None,
+    limit: Annotated[int, Query(ge=1, le=200)] = 50,
+    cursor: Annotated[str | None, Query(description="from the page before; anything else: 400 bad-cursor")] = None,
+) -> SimulationPage:
+    """Cases, the newest first."""
+    before = pages.decode(cursor) if cursor is not None else None
+    rows = served.jobs.page(limit + 1, state, before)
+    following = None
+    if len(rows) > limit:
+        last = rows[limit - 1]
+        following = pages.encode((last.created, last.id))
+        response.headers["Link"] = f'<{request.url.include_query_params(cursor=following)}>; rel="next"'
+    return SimulationPage(items=[simulation_resource(row) for row in rows[:limit]], next=following)
+
+
+@router.get("/{identifier}", responses={304: {"description": "not changed"}})
+def get_simulation(
+    identifier: str,
+    served: Served,
+    response: Response,
+    if_none_match: Annotated[str | None, Header()] = None,
+) -> Any:
+    """One case. Its entity tag changes with its revision."""
+    row = served.jobs.get(identifier)
+    headers = {"ETag": f'W/"{row.revision}"', "Cache-Control": "no-cache"}
+    if not row.is_final:
+        headers |= RETRY_AFTER
+    if none_match(if_none_match, str(row.revision)):
+        return Response(status_code=304, headers=headers)
+    response.headers.update(headers)
+    return simulation_resource(row, served.jobs.specification(identifier))
+
+
+@router.post("/{identifier}/cancel", status_code=202)
+def cancel(identifier: str, served: Served, response: Response) -> SimulationResource:
+    """Stops a case: at once where it is queued, within a second or so where it runs."""
+    try:
+        row = served.jobs.cancel(identifier)
+    except StateError as error:
+        raise ApiError(
+            409, "already-finished", f"the simulation has {error.state}; there is nothing to cancel"
+        ) from None
+    if not row.is_final:
+        response.headers.update(RETRY_AFTER)
+    return simulation_resource(row)
+
+
+@router.post("/{identifier}/retry", status_code=202)
+def retry(identifier: str, served: Served, request: Request, response: Response) -> SimulationResource:
+    """Queues a failed or cancelled case again; stages that finished are not computed again."""
+    try:
+        row = served.jobs.retry(identifier)
+    except StateError as error:
+        code = "already-finished" if error.state == "succeeded" else "not-finished"
+        raise ApiError(
+            409, code, f"the simulation is {error.state}; only a failed or cancelled one is retried"
+        ) from None
+    _send(served, row)
+    response.headers.update({"Location": str(request.base_url).rstrip("/") + simulation_path(row.id), **RETRY_AFTER})
+    return simulation_resource(row)
+
+
+@router.delete("/{identifier}", status_code=204)
+def delete(identifier: str, served: Served) -> None:
+    """Forgets a finished case. Stored stages stay: other cases may use them."""
+    try:
+        served.jobs.delete(identifier)
+    except StateError as error:
+        raise ApiError(
+            409, "not-finished", f"the simulation is {error.state}: cancel it first, or wait for its end"
+        ) from None
+
+
+def _check(specification: SimulationSpec, served: Services) -> Estimate:
+    return estimate.check(specification, served.settings.memory_limit)
+
+
+def _send(served: Services, row: Simulation) -> None:
+    """Sends the message of a row that is committed; where that fails the sweep sends it later."""
+    try:
+        served.messenger.send(row.id, row.queue)
+        served.jobs.mark_sent(row.id)
+    except Exception:
+        log.exception("message not sent; the sweep will send it", extra={"simulation": row.id})

@@ -1,0 +1,87 @@
+"""A pipeline for tests of the service: two stages, and whatever misbehaviour the name of the case asks for.
+
+slow      ten seconds of work in small steps     forever   does not come to an end
+crash     kills its own process with SIGSEGV     memory    asks for more memory than there is
+refuse    raises a SolverError                   mistake   raises a KeyError
+noise     prints to standard output              once      crashes unless its marker file is there
+"""
+
+import json
+import os
+import signal
+import time
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+from simcore.core.errors import SolverError
+from simcore.core.store import FileRef, Store
+
+STAGES = ("dicom", "preview")
+
+FILES = {
+    "dicom": {"projections/0001.dcm": b"\0" * 128 + b"DICM" + bytes(range(256)) * 8, "volume.dcm": b"volume" * 1000},
+    "preview": {"preview/phantom.png": b"\x89PNG\r\n\x1a\n picture"},
+}
+
+
+@dataclass
+class Result:
+    manifest: dict[str, Any]
+
+
+def run(spec: Any, store: Store, progress: Any) -> Result:
+    stages = []
+    for stage in STAGES:
+        progress(stage, 0.0, "started")
+        record, cached = store.run(
+            stage,
+            1,
+            {"name": spec.name, "seed": spec.seed},
+            {},
+            lambda folder, key, s=stage: work(s, spec, folder, progress),
+        )
+        progress(stage, 1.0, "done", cached=cached)
+        stages.append((record, cached))
+    files: dict[str, FileRef] = {name: ref for record, _ in stages for name, ref in record.outputs.items()}
+    return Result(
+        {
+            "schema": "tomosim-manifest/1",
+            "computed_stages": sum(not cached for _, cached in stages),
+            "stages": [
+                {"name": r.stage, "key": r.key, "outputs": {n: asdict(f) for n, f in r.outputs.items()}}
+                for r, _ in stages
+            ],
+            "results": {"volume_ml": 700.0},
+            "files": {name: asdict(ref) for name, ref in files.items()},
+        }
+    )
+
+
+def work(stage: str, spec: Any, folder: Path, progress: Any) -> tuple[dict[str, Any], float, int]:
+    if stage == STAGES[-1]:
+        misbehave(spec.name, progress)
+    for name, content in FILES[stage].items():
+        (folder / name).parent.mkdir(parents=True, exist_ok=True)
+        (folder / name).write_bytes(content + str(spec.seed).encode())
+    return {}, 0.0, 0
+
+
+def misbehave(name: str, progress: Any) -> None:
+    if name == "noise":
+        print(json.dumps({"type": "failed", "error": "printed"}), flush=True)
+        os.write(1, b"printed by a library\n")
+    if name == "refuse":
+        raise SolverError("compression.percent = 90: the solver did not converge; use less")
+    if name == "mistake":
+        raise KeyError("lost")
+    if name == "memory":
+        bytearray(1 << 50)
+    if name == "crash":
+        os.kill(os.getpid(), signal.SIGSEGV)
+    if name in ("slow", "forever"):
+        step = 0
+        while name == "forever" or step < 100:
+            step += 1
+            progress(STAGES[-1], min(0.99, step / 100), f"step {step}, process {os.getpid()}")
+            time.sleep(0.1)

@@ -1,0 +1,129 @@
+"""A compute process seen from its worker slot: start, send a case, read messages, kill."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import os
+import select
+import signal
+import subprocess
+import sys
+import time
+from typing import Any
+
+from worker import processes
+from worker.contract import COMPUTE_CRASHED
+from worker.settings import Settings
+
+Json = dict[str, Any]
+
+EXIT_SECONDS = 5.0
+"""A process that has closed its messages should end within this time."""
+
+
+class ComputeDiedError(Exception):
+    """The process ended before it had told the outcome; ``error`` says how."""
+
+    def __init__(self, error: Json) -> None:
+        super().__init__(error["message"])
+        self.error = error
+
+
+class ComputeProcess:
+    """A running ``python -m worker.compute``. Made in a thread that lives as long as the worker."""
+
+    def __init__(self, settings: Settings) -> None:
+        threads = str(settings.threads)
+        env = processes.environment(
+            settings,
+            NUMBA_NUM_THREADS=threads,
+            OMP_NUM_THREADS=threads,
+            OPENBLAS_NUM_THREADS=threads,
+            MKL_NUM_THREADS=threads,
+        )
+        reader, writer = os.pipe()
+        try:
+            self._process = subprocess.Popen(
+                [sys.executable, "-m", "worker.compute", str(writer), str(os.getpid())],
+                env=env,
+                stdin=subprocess.PIPE,
+                pass_fds=[writer],
+                start_new_session=True,
+            )
+        finally:
+            os.close(writer)
+        self._reader = reader
+        self._buffer = b""
+        self._closed = False
+        self.ready = False
+
+    @property
+    def pid(self) -> int:
+        return self._process.pid
+
+    @property
+    def alive(self) -> bool:
+        return not self._closed and self._process.poll() is None
+
+    def run(self, specification: Json) -> None:
+        """Hands over a case; for a process that is ready.
+
+        raises: ComputeDiedError
+        """
+        assert self._process.stdin is not None
+        try:
+            self._process.stdin.write(json.dumps({"specification": specification}).encode() + b"\n")
+            self._process.stdin.flush()
+        except OSError:
+            raise ComputeDiedError(self._how_it_ended()) from None
+
+    def receive(self, timeout_seconds: float) -> Json | None:
+        """The next message, or None where none came in time.
+
+        raises: ComputeDiedError
+        """
+        deadline = time.monotonic() + timeout_seconds
+        while b"\n" not in self._buffer:
+            left = max(0.0, deadline - time.monotonic())
+            if not select.select([self._reader], [], [], left)[0]:
+                return None
+            chunk = os.read(self._reader, 1 << 20)
+            if not chunk:
+                raise ComputeDiedError(self._how_it_ended())
+            self._buffer += chunk
+        line, _, self._buffer = self._buffer.partition(b"\n")
+        message: Json = json.loads(line)
+        self.ready = self.ready or message["type"] == "ready"
+        return message
+
+    def kill(self) -> None:
+        """Ends it and all it started, at once."""
+        processes.kill_group(self._process)
+        if not self._closed:
+            self._closed = True
+            os.close(self._reader)
+            assert self._process.stdin is not None
+            with contextlib.suppress(OSError):
+                self._process.stdin.close()
+
+    def _how_it_ended(self) -> Json:
+        try:
+            code = self._process.wait(EXIT_SECONDS)
+        except subprocess.TimeoutExpired:
+            code = 0
+        return crash_error(code)
+
+
+def crash_error(code: int) -> Json:
+    """The error of a case whose process ended with this exit code (negative: by that signal)."""
+    if code == -signal.SIGKILL:
+        what = "was killed (SIGKILL); the system does so where the machine has no memory left"
+        advice = "take larger voxels or fewer views, run fewer cases at a time, or retry"
+    elif code < 0:
+        what = f"crashed with {signal.Signals(-code).name}"
+        advice = "see the worker's log; retry, and report it with the specification where it happens again"
+    else:
+        what = f"ended with exit code {code}"
+        advice = "see the worker's log"
+    return {"kind": "system", "code": COMPUTE_CRASHED, "message": f"the compute process {what}: {advice}"}

@@ -1,0 +1,29 @@
+"""Names that the API, the worker and clients agree on. Light: imports nothing but the standard library."""
+
+from __future__ import annotations
+
+from typing import Literal, get_args
+
+State = Literal["queued", "running", "cancelling", "succeeded", "failed", "cancelled"]
+"""queued -> running -> succeeded | failed; queued | running -> (cancelling ->) cancelled."""
+
+STATES: tuple[State, ...] = get_args(State)
+FINAL_STATES: tuple[State, ...] = ("succeeded", "failed", "cancelled")
+ACTIVE_STATES: tuple[State, ...] = ("running", "cancelling")
+
+TASK_SIMULATE = "tomosim.simulate"
+"""Name of the Celery task; its one argument is the identifier of a simulation."""
+
+Queue = Literal["interactive", "batch", "delivery"]
+QUEUES: tuple[Queue, ...] = get_args(Queue)
+DEFAULT_QUEUE: Queue = "interactive"
+
+EVENT_STATE = "state"
+EVENT_PROGRESS = "progress"
+
+# Codes of failures that the service itself reports; the others come from simcore.core.errors.
+COMPUTE_CRASHED = "compute-crashed"
+OUT_OF_MEMORY = "out-of-memory"
+TIMEOUT = "timeout"
+WORKER_LOST = "worker-lost"
+INTERNAL_ERROR = "internal-error"

@@ -1,0 +1,131 @@
+"""Tables of the service, and how to connect. SQLite (WAL) by default; PostgreSQL works as well."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import sqlalchemy as sa
+from sqlalchemy import event
+from sqlalchemy.exc import SQLAlchemyError
+
+from simcore.core.errors import StoreError
+
+SCHEMA_VERSION = 1
+
+metadata = sa.MetaData()
+
+schema = sa.Table("schema_version", metadata, sa.Column("version", sa.Integer, primary_key=True))
+
+# Times are seconds since 1970 (UTC) in double precision: the same on every database.
+simulations = sa.Table(
+    "simulations",
+    metadata,
+    sa.Column("id", sa.String(32), primary_key=True),
+    sa.Column("name", sa.String(64), nullable=False, default=""),
+    sa.Column("state", sa.String(16), nullable=False),
+    sa.Column("specification", sa.JSON, nullable=False),
+    sa.Column("estimate", sa.JSON, nullable=False),
+    sa.Column("queue", sa.String(16), nullable=False),
+    # Raised with every change; the number of the latest event.
+    sa.Column("revision", sa.Integer, nullable=False, default=1),
+    sa.Column("created", sa.Double, nullable=False),
+    sa.Column("started", sa.Double),
+    sa.Column("finished", sa.Double),
+    sa.Column("attempt", sa.Integer, nullable=False, default=0),
+    # When its message was last given to the broker; NULL: never, or not since it was last queued.
+    sa.Column("sent", sa.Double),
+    sa.Column("owner", sa.String(200)),
+    sa.Column("lease_until", sa.Double),
+    sa.Column("stage", sa.String(64)),
+    sa.Column("stages_done", sa.Integer, nullable=False, default=0),
+    sa.Column("stages_total", sa.Integer, nullable=False, default=0),
+    sa.Column("fraction", sa.Double, nullable=False, default=0.0),
+    sa.Column("message", sa.Text, nullable=False, default=""),
+    sa.Column("error", sa.JSON(none_as_null=True)),
+    sa.Column("results", sa.JSON(none_as_null=True)),
+    sa.Column("manifest", sa.JSON(none_as_null=True)),
+    sa.Index("simulations_by_age", "created", "id"),
+    sa.Index("simulations_by_state", "state", "created"),
+)
+
+events = sa.Table(
+    "events",
+    metadata,
+    sa.Column("simulation_id", sa.String(32), sa.ForeignKey("simulations.id", ondelete="CASCADE"), primary_key=True),
+    sa.Column("sequence", sa.Integer, primary_key=True),
+    sa.Column("at", sa.Double, nullable=False),
+    sa.Column("kind", sa.String(16), nullable=False),
+    sa.Column("data", sa.JSON, nullable=False),
+)
+
+workers = sa.Table(
+    "workers",
+    metadata,
+    sa.Column("name", sa.String(200), primary_key=True),
+    sa.Column("slots", sa.Integer, nullable=False),
+    sa.Column("seen", sa.Double, nullable=False),
+)
+
+
+def connect(url: str) -> sa.Engine:
+    """An engine for ``url``; opens nothing yet."""
+    made = sa.make_url(url)
+    if made.get_backend_name() != "sqlite":
+        return sa.create_engine(made, pool_pre_ping=True)
+    if made.database:
+        Path(made.database).parent.mkdir(parents=True, exist_ok=True)
+    engine = sa.create_engine(made, connect_args={"timeout": 30})
+    event.listen(engine, "connect", _prepare_sqlite)
+    event.listen(engine, "begin", _begin_sqlite)
+    return engine
+
+
+@contextmanager
+def reading(engine: sa.Engine) -> Iterator[sa.Connection]:
+    """A connection that only reads: it waits for no writer."""
+    with engine.connect().execution_options(tomosim_reading=True) as connection:
+        yield connection
+
+
+def _prepare_sqlite(connection: Any, record: Any) -> None:
+    connection.isolation_level = None  # transactions begin where _begin_sqlite says so
+    cursor = connection.cursor()
+    for pragma in ("journal_mode=WAL", "synchronous=NORMAL", "busy_timeout=30000", "foreign_keys=ON"):
+        cursor.execute(f"PRAGMA {pragma}")
+    cursor.close()
+
+
+def _begin_sqlite(connection: sa.Connection) -> None:
+    # A transaction that reads first and writes later fails at once where another one wrote meanwhile, whatever the
+    # busy timeout: writers take the lock at the beginning.
+    reading = connection.get_execution_options().get("tomosim_reading", False)
+    connection.exec_driver_sql("BEGIN" if reading else "BEGIN IMMEDIATE")
+
+
+def create_tables(engine: sa.Engine) -> None:
+    """Makes the tables that are not there. Several processes may do so at once.
+
+    raises: StoreError where the database was made by another version of the tables.
+    """
+    try:
+        found = _make_tables(engine)
+    except SQLAlchemyError:
+        found = _make_tables(engine)  # another process made them between the look and the deed
+    if found != SCHEMA_VERSION:
+        raise StoreError(
+            f"the database has tables of version {found}; this program needs version {SCHEMA_VERSION}: "
+            "use another data folder or database, or the program that made it",
+            code="database-version",
+        )
+
+
+def _make_tables(engine: sa.Engine) -> int:
+    metadata.create_all(engine)
+    with engine.begin() as connection:
+        found: int | None = connection.scalar(sa.select(sa.func.max(schema.c.version)))
+        if found is None:
+            connection.execute(schema.insert().values(version=SCHEMA_VERSION))
+    return found or SCHEMA_VERSION

@@ -1,0 +1,65 @@
+"""What is known of the workers and of the queue as a whole: for readiness and metrics."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+
+import sqlalchemy as sa
+
+from worker.database import reading, simulations, workers
+
+BEAT_SECONDS = 3.0
+"""Interval at which a worker says that it is alive."""
+
+SILENT_SECONDS = 15.0
+"""A worker that was silent for longer counts as gone."""
+
+
+class Fleet:
+    """Repository of workers and counts."""
+
+    def __init__(self, engine: sa.Engine, clock: Callable[[], float] = time.time) -> None:
+        self.engine = engine
+        self.clock = clock
+
+    def beat(self, worker: str, slots: int) -> None:
+        """A worker says that it is alive."""
+        values = {"slots": slots, "seen": self.clock()}
+        with self.engine.begin() as connection:
+            if not connection.execute(workers.update().where(workers.c.name == worker).values(values)).rowcount:
+                connection.execute(workers.insert().values(name=worker, **values))
+
+    def gone(self, worker: str) -> None:
+        """A worker has stopped."""
+        with self.engine.begin() as connection:
+            connection.execute(workers.delete().where(workers.c.name == worker))
+
+    def forget(self, silent_seconds: float) -> None:
+        """Removes workers that have not been heard of for so long."""
+        with self.engine.begin() as connection:
+            connection.execute(workers.delete().where(workers.c.seen < self.clock() - silent_seconds))
+
+    def alive(self, within_seconds: float = SILENT_SECONDS) -> int:
+        """How many workers said within these seconds that they are alive."""
+        query = sa.select(sa.func.count()).where(workers.c.seen > self.clock() - within_seconds)
+        with reading(self.engine) as connection:
+            return connection.scalar(query) or 0
+
+    def ping(self) -> None:
+        """raises: sqlalchemy.exc.SQLAlchemyError where the database does not answer or has no tables."""
+        with reading(self.engine) as connection:
+            connection.execute(sa.select(simulations.c.id).limit(1))
+
+    def counts(self) -> dict[str, int]:
+        """Number of simulations by state."""
+        query = sa.select(simulations.c.state, sa.func.count()).group_by(simulations.c.state)
+        with reading(self.engine) as connection:
+            return dict(connection.execute(query).tuples().all())
+
+    def queue_age(self) -> float:
+        """Seconds for which the oldest queued simulation has been there; 0 where none is queued."""
+        query = sa.select(sa.func.min(simulations.c.created)).where(simulations.c.state == "queued")
+        with reading(self.engine) as connection:
+            oldest = connection.scalar(query)
+        return 0.0 if oldest is None else max(0.0, self.clock() - oldest)

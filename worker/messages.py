@@ -1,0 +1,80 @@
+"""Giving messages to the broker: the only thing the API and the sweep know of Celery."""
+
+from __future__ import annotations
+
+from typing import Any, Protocol
+
+from celery import Celery
+
+from worker.contract import DEFAULT_QUEUE, QUEUES, TASK_SIMULATE, Queue
+from worker.settings import Settings
+
+CONNECT_SECONDS = 2.0
+
+
+class Messenger(Protocol):
+    """What sends the messages of simulations."""
+
+    def send(self, identifier: str, queue: Queue = DEFAULT_QUEUE) -> None:
+        """Sends a message for a simulation. raises: Exception where the broker does not take it"""
+
+    def waiting(self) -> int:
+        """Messages that no worker has taken yet. raises: Exception where the broker does not answer"""
+
+    def ping(self) -> None:
+        """raises: Exception where the broker does not answer"""
+
+
+def create_celery(settings: Settings) -> Celery:
+    """The Celery application, without its task: enough for sending."""
+    app = Celery("tomosim", broker=settings.resolved_broker_url, set_as_current=False)
+    app.conf.update(
+        task_ignore_result=True,
+        task_serializer="json",
+        accept_content=["json"],
+        task_acks_late=True,
+        task_reject_on_worker_lost=True,
+        worker_prefetch_multiplier=1,
+        worker_cancel_long_running_tasks_on_connection_loss=False,
+        worker_enable_remote_control=False,
+        worker_send_task_events=False,
+        worker_hijack_root_logger=False,
+        broker_connection_retry_on_startup=True,
+        task_default_queue=DEFAULT_QUEUE,
+        task_create_missing_queues=True,
+        broker_transport_options={
+            "visibility_timeout": settings.visibility_timeout,
+            "socket_connect_timeout": CONNECT_SECONDS,
+        },
+    )
+    return app
+
+
+class CeleryMessenger:
+    """Sends through the broker of the settings; a broker that does not answer is an error within seconds."""
+
+    def __init__(self, settings: Settings) -> None:
+        self._app = create_celery(settings)
+
+    def send(self, identifier: str, queue: Queue = DEFAULT_QUEUE) -> None:
+        with self._connection() as connection:
+            self._app.send_task(TASK_SIMULATE, args=[identifier], queue=queue, connection=connection, retry=False)
+
+    def waiting(self) -> int:
+        with self._connection() as connection:
+            return sum(_waiting(connection, name) for name in QUEUES)
+
+    def ping(self) -> None:
+        with self._connection() as connection:
+            connection.ensure_connection(max_retries=1, timeout=CONNECT_SECONDS)
+
+    def _connection(self) -> Any:
+        return self._app.connection_for_write(connect_timeout=CONNECT_SECONDS)
+
+
+def _waiting(connection: Any, queue: str) -> int:
+    try:
+        with connection.channel() as channel:
+            return int(channel.queue_declare(queue, passive=True).message_count)
+    except connection.channel_errors:
+        return 0  # no message was ever sent to it

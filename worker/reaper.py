@@ -1,0 +1,63 @@
+"""The sweep: sends what was never sent or has lost its message, takes back what has lost its worker.
+
+Everything it does is a compare-and-set, so several sweeps at once do no harm.
+"""
+
+from __future__ import annotations
+
+import logging
+import threading
+
+from worker.fleet import Fleet
+from worker.jobs import Jobs, Simulation
+from worker.messages import Messenger
+from worker.settings import Settings
+
+log = logging.getLogger(__name__)
+
+FORGET_WORKERS_SECONDS = 24 * 3600.0
+
+
+class Reaper:
+    """Runs ``sweep`` every few seconds in a thread of its own."""
+
+    def __init__(self, settings: Settings, jobs: Jobs, fleet: Fleet, messenger: Messenger) -> None:
+        self.settings = settings
+        self.jobs = jobs
+        self.fleet = fleet
+        self.messenger = messenger
+        self._stopping = threading.Event()
+        self._thread = threading.Thread(target=self._loop, name="reaper", daemon=True)
+
+    def start(self) -> None:
+        self._thread.start()
+
+    def stop(self) -> None:
+        """Ends the thread."""
+        self._stopping.set()
+        self._thread.join(10.0)
+
+    def sweep(self) -> None:
+        """One pass. raises: Exception where the database or the broker does not answer"""
+        for identifier in self.jobs.take_back(self.settings.max_attempts):
+            log.warning("lease ran out", extra={"simulation": identifier})
+        for job in self.jobs.unsent():
+            self._send(job)
+        lost = self.jobs.sent_before(self.jobs.clock() - self.settings.resend_seconds)
+        # Behind a long queue a message waits for hours. It is lost only where the broker has none left.
+        if lost and self.messenger.waiting() == 0:
+            for job in lost:
+                log.warning("message was lost", extra={"simulation": job.id})
+                self._send(job)
+        self.fleet.forget(FORGET_WORKERS_SECONDS)
+
+    def _send(self, job: Simulation) -> None:
+        self.messenger.send(job.id, job.queue)
+        self.jobs.mark_sent(job.id)
+
+    def _loop(self) -> None:
+        while not self._stopping.wait(self.settings.sweep_seconds):
+            try:
+                self.sweep()
+            except Exception:
+                log.exception("sweep failed; tried again in %g s", self.settings.sweep_seconds)

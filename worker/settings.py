@@ -1,0 +1,155 @@
+"""Settings of the service: one object, read from TOMOSIM_... environment variables and checked at start."""
+
+from __future__ import annotations
+
+import hashlib
+import ipaddress
+import os
+import tempfile
+from pathlib import Path
+from typing import Literal, Self
+
+from pydantic import Field, ValidationError, field_validator, model_validator
+from pydantic_settings import BaseSettings, SettingsConfigDict
+
+from simcore.core.errors import SimulationError
+from simcore.core.memory import physical_bytes
+
+ENV_PREFIX = "TOMOSIM_"
+
+# A Unix socket address holds 108 bytes with the closing zero.
+MAX_SOCKET_PATH = 100
+
+HOUR = 3600.0
+
+
+class SettingsError(SimulationError):
+    """A setting is wrong; the message names its environment variable."""
+
+    kind = "user"
+    code = "invalid-settings"
+
+
+class Settings(BaseSettings):
+    """Every setting has a default; ``TOMOSIM_PORT=9000`` in the environment sets ``port``."""
+
+    model_config = SettingsConfigDict(env_prefix=ENV_PREFIX, frozen=True, extra="forbid")
+
+    data_folder: Path = Field(Path("data"), description="database, stage store and broker files lie below it")
+    database_url: str = Field("", description="SQLAlchemy URL; empty: SQLite in the data folder")
+    broker_url: str = Field("", description="Celery broker URL; empty: a broker of its own, in the data folder")
+    host: str = Field("127.0.0.1", description="address the API binds to")
+    port: int = Field(8080, ge=1, le=65535, description="port the API binds to")
+    trusted_network: bool = Field(
+        False,
+        description="everybody who can reach the address may do everything: allows a host that is not loopback "
+        "(inside a container whose port is published on loopback only, for instance)",
+    )
+    worker_slots: int = Field(1, ge=1, le=64, description="cases one worker computes at a time")
+    threads_per_slot: int = Field(0, ge=0, le=1024, description="threads of a case; 0: cores / worker slots")
+    memory_limit_bytes: int = Field(
+        0, ge=0, description="memory a case may use [byte]; 0: 0.8 of the machine / worker slots"
+    )
+    job_timeout_seconds: float = Field(6 * HOUR, gt=0, description="a case that runs longer is stopped [s]")
+    max_attempts: int = Field(3, ge=1, description="times a case is started before a lost worker makes it fail")
+    lease_seconds: float = Field(30.0, gt=0, description="a worker silent for longer has lost its case [s]")
+    resend_seconds: float = Field(30.0, gt=0, description="a queued case without a message is sent again after [s]")
+    sweep_seconds: float = Field(2.0, gt=0, description="interval of the sweep for lost cases [s]")
+    body_limit_bytes: int = Field(1_000_000, gt=0, description="largest body of a request [byte]")
+    log_level: Literal["DEBUG", "INFO", "WARNING", "ERROR"] = "INFO"
+    pipeline: str = Field(
+        "simcore.pipeline:run", description="module:function that runs a case; another one for tests only"
+    )
+
+    @field_validator("data_folder")
+    @classmethod
+    def _absolute(cls, value: Path) -> Path:
+        return value.expanduser().absolute()
+
+    @model_validator(mode="after")
+    def _only_loopback_without_keys(self) -> Self:
+        if not self.trusted_network and not is_loopback(self.host):
+            raise ValueError(
+                f"TOMOSIM_HOST = {self.host!r}: without API keys only a loopback address is allowed (127.0.0.1, "
+                "::1, localhost); put a proxy that asks who is there in front, or set TOMOSIM_TRUSTED_NETWORK=true "
+                "where everybody who can reach the address may do everything"
+            )
+        return self
+
+    @classmethod
+    def load(cls, **changes: object) -> Settings:
+        """Settings of this environment, some of them changed.
+
+        raises: SettingsError naming the environment variable, its value and what is allowed.
+        """
+        try:
+            return cls(**changes)  # type: ignore[arg-type]
+        except ValidationError as error:
+            raise SettingsError("; ".join(_problem(item) for item in error.errors())) from None
+
+    @property
+    def store_folder(self) -> Path:
+        """Where stage results lie."""
+        return self.data_folder / "store"
+
+    @property
+    def broker_folder(self) -> Path:
+        """Where the embedded broker keeps its files."""
+        return self.data_folder / "broker"
+
+    @property
+    def broker_socket(self) -> Path:
+        """Unix socket of the embedded broker: in the data folder, or where its path is too long, in a folder of
+        the temporary folder that belongs to the data folder and the user."""
+        path = self.broker_folder / "socket"
+        if len(os.fsencode(path)) <= MAX_SOCKET_PATH:
+            return path
+        name = hashlib.sha256(os.fsencode(self.data_folder)).hexdigest()[:16]
+        return Path(tempfile.gettempdir()) / f"tomosim-{os.getuid()}-{name}" / "socket"
+
+    @property
+    def resolved_database_url(self) -> str:
+        return self.database_url or f"sqlite:///{self.data_folder / 'tomosim.db'}"
+
+    @property
+    def resolved_broker_url(self) -> str:
+        return self.broker_url or f"redis+socket://{self.broker_socket}?virtual_host=0"
+
+    @property
+    def threads(self) -> int:
+        """Threads of one case."""
+        cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+        return self.threads_per_slot or max(1, cores // self.worker_slots)
+
+    @property
+    def memory_limit(self) -> int:
+        """Memory one case may use, bytes."""
+        return self.memory_limit_bytes or int(0.8 * physical_bytes() / self.worker_slots)
+
+    @property
+    def visibility_timeout(self) -> float:
+        """After this time the broker takes a message for lost; longer than any case [s]."""
+        return self.job_timeout_seconds + HOUR
+
+    def environment(self) -> dict[str, str]:
+        """The variables that give a child process the same settings."""
+        values = self.model_dump(mode="json")
+        return {ENV_PREFIX + name.upper(): str(value) for name, value in values.items()}
+
+
+def is_loopback(host: str) -> bool:
+    """Whether an address can be reached from this machine only."""
+    if host == "localhost":
+        return True
+    try:
+        return ipaddress.ip_address(host.strip("[]")).is_loopback
+    except ValueError:
+        return False
+
+
+def _problem(item: object) -> str:
+    assert isinstance(item, dict)
+    if not item["loc"]:
+        return str(item["msg"]).removeprefix("Value error, ")
+    name = ENV_PREFIX + str(item["loc"][0]).upper()
+    return f"{name} = {item['input']!r}: {item['msg']}"

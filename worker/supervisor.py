@@ -1,0 +1,237 @@
+"""A worker slot: claims a case, has its compute process run it, and writes down how it ended.
+
+Light: imports neither numba nor a stage. The compute process is killed when the case is cancelled, takes too long,
+was lost to another worker or when the worker stops, and started again where it has ended.
+"""
+
+from __future__ import annotations
+
+import logging
+import queue
+import threading
+import time
+from collections.abc import Callable
+from typing import Any
+
+from sqlalchemy.exc import SQLAlchemyError
+
+from worker.compute_process import ComputeDiedError, ComputeProcess
+from worker.contract import INTERNAL_ERROR, OUT_OF_MEMORY, TIMEOUT, State
+from worker.jobs import Jobs, Simulation, StageProgress
+from worker.settings import Settings
+
+log = logging.getLogger(__name__)
+
+POLL_SECONDS = 0.1
+"""How long a slot waits for a message before it looks at the clock and whether the worker stops."""
+
+STATE_SECONDS = 0.3
+"""How often a slot asks the database whether its case was cancelled."""
+
+WRITE_ATTEMPTS = 5
+
+Json = dict[str, Any]
+
+
+class Slot:
+    """One case at a time, on one warm compute process.
+
+    stopping: set when the worker stops; the case goes back to the queue.
+    """
+
+    def __init__(self, name: str, settings: Settings, jobs: Jobs, stopping: threading.Event) -> None:
+        self.name = name
+        self.settings = settings
+        self.jobs = jobs
+        self.stopping = stopping
+        self._process: ComputeProcess | None = None
+        self._claims = 0
+
+    def warm_up(self) -> ComputeProcess:
+        """The compute process, started where there is none."""
+        if self._process is None or not self._process.alive:
+            self.kill()
+            self._process = ComputeProcess(self.settings)
+            log.info("compute process started", extra={"slot": self.name, "pid": self._process.pid})
+        return self._process
+
+    def kill(self) -> None:
+        """Ends the compute process and all it started."""
+        if self._process is not None:
+            self._process.kill()
+            self._process = None
+
+    def run(self, identifier: str) -> None:
+        """Runs a queued simulation to its end. Does nothing where it is not queued: the message was late."""
+        if self.stopping.is_set():
+            self.jobs.mark_unsent(identifier)
+            return
+        self._claims += 1
+        owner = f"{self.name}/{self._claims}"
+        job = self.jobs.claim(identifier, owner)
+        if job is None:
+            log.info("not queued: message ignored", extra={"simulation": identifier})
+            return
+        log.info("started", extra={"simulation": identifier, "attempt": job.attempt})
+        try:
+            finish = self._supervise(job, owner, self.jobs.specification(identifier))
+        except Exception as error:
+            log.exception("supervision failed", extra={"simulation": identifier})
+            self.kill()
+            finish = self._failure(job, owner, _internal(error))
+        kept = self._write(finish)
+        log.info("ended", extra={"simulation": identifier, "kept": kept})
+        if not self.stopping.is_set():
+            self.warm_up()
+
+    def _supervise(self, job: Simulation, owner: str, specification: Json) -> Callable[[], bool]:
+        """Watches over one case; returns what is to be written in the end."""
+        watch = _Watch(self.jobs, job.id, owner, self.settings)
+        try:
+            process = self.warm_up()
+            if process.ready:
+                process.run(specification)
+            while True:
+                message = process.receive(POLL_SECONDS)
+                if self.stopping.is_set():
+                    self.kill()
+                    return lambda: self.jobs.release(job.id, owner)
+                match watch.verdict():
+                    case "running":
+                        pass
+                    case "cancelling":
+                        self.kill()
+                        return lambda: self.jobs.cancelled(job.id, owner)
+                    case "late":
+                        self.kill()
+                        return self._failure(job, owner, _timeout(self.settings.job_timeout_seconds))
+                    case _:
+                        self.kill()
+                        return _nothing_to_write
+                match message and message["type"]:
+                    case "ready":
+                        process.run(specification)
+                    case "progress":
+                        watch.progress(_stage_progress(message or {}))
+                    case "succeeded":
+                        manifest = (message or {})["manifest"]
+                        return lambda: self.jobs.succeed(job.id, owner, manifest)
+                    case "failed":
+                        error = (message or {})["error"]
+                        if error["code"] == OUT_OF_MEMORY:
+                            self.kill()
+                        return self._failure(job, owner, error)
+        except ComputeDiedError as died:
+            log.warning("compute process ended", extra={"simulation": job.id, "error": died.error})
+            self.kill()
+            return self._failure(job, owner, died.error)
+
+    def _failure(self, job: Simulation, owner: str, error: Json) -> Callable[[], bool]:
+        return lambda: self.jobs.fail(job.id, owner, error)
+
+    def _write(self, finish: Callable[[], bool]) -> bool:
+        """Writes the end of a case, again where the database does not answer; in the end the lease runs out."""
+        for attempt in range(WRITE_ATTEMPTS):
+            try:
+                return finish()
+            except SQLAlchemyError:
+                log.exception("the database does not answer", extra={"attempt": attempt})
+                time.sleep(1.0)
+        return False
+
+
+class _Watch:
+    """Looks at the clock and the row of a running case: goes on, is cancelled, is late or belongs to another."""
+
+    def __init__(self, jobs: Jobs, identifier: str, owner: str, settings: Settings) -> None:
+        self.jobs = jobs
+        self.identifier = identifier
+        self.owner = owner
+        self.lease_seconds = settings.lease_seconds
+        now = time.monotonic()
+        self.deadline = now + settings.job_timeout_seconds
+        self.renewed = now
+        self.asked = now
+
+    def verdict(self) -> State | str:
+        """running, cancelling, late, or lost."""
+        now = time.monotonic()
+        if now > self.deadline:
+            return "late"
+        if now - self.asked < STATE_SECONDS:
+            return "running"
+        self.asked = now
+        try:
+            if now - self.renewed > self.lease_seconds / 3:
+                state = self.jobs.renew(self.identifier, self.owner)
+                self.renewed = now
+            else:
+                state = self.jobs.state_of(self.identifier, self.owner)
+        except SQLAlchemyError:
+            log.exception("the database does not answer", extra={"simulation": self.identifier})
+            return "running" if now - self.renewed < self.lease_seconds else "lost"
+        return state or "lost"
+
+    def progress(self, progress: StageProgress) -> None:
+        """Records progress; the next ``verdict`` says where that was refused."""
+        try:
+            if self.jobs.progress(self.identifier, self.owner, progress):
+                self.renewed = time.monotonic()
+        except SQLAlchemyError:
+            log.exception("progress not recorded", extra={"simulation": self.identifier})
+
+
+class Slots:
+    """The slots of one worker."""
+
+    def __init__(self, worker: str, settings: Settings, jobs: Jobs) -> None:
+        self.stopping = threading.Event()
+        self._all = [
+            Slot(f"{worker}/{number}", settings, jobs, self.stopping) for number in range(settings.worker_slots)
+        ]
+        self._free: queue.SimpleQueue[Slot] = queue.SimpleQueue()
+        for slot in self._all:
+            self._free.put(slot)
+
+    def warm_up(self) -> None:
+        """Starts every compute process."""
+        for slot in self._all:
+            slot.warm_up()
+
+    def run(self, identifier: str) -> None:
+        """Runs a simulation on a free slot."""
+        slot = self._free.get()
+        try:
+            slot.run(identifier)
+        finally:
+            self._free.put(slot)
+
+    def kill(self) -> None:
+        """Ends every compute process."""
+        for slot in self._all:
+            slot.kill()
+
+
+def _nothing_to_write() -> bool:
+    return False
+
+
+def _stage_progress(message: Json) -> StageProgress:
+    return StageProgress(**{key: value for key, value in message.items() if key != "type"})
+
+
+def _timeout(seconds: float) -> Json:
+    return {
+        "kind": "system",
+        "code": TIMEOUT,
+        "message": f"the case ran longer than the {seconds:g} s it may take; stages that finished are kept: retry, "
+        "ask for less, or raise TOMOSIM_JOB_TIMEOUT_SECONDS",
+    }
+
+
+def _internal(error: Exception) -> Json:
+    return {
+        "kind": "system",
+        "code": INTERNAL_ERROR,
+        "message": f"{type(error).__name__}: {error} (a mistake in tomosim; the worker's log has the details)",
+    }
