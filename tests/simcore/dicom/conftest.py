@@ -55,7 +55,7 @@ def make_case(
     random = np.random.default_rng(seed)
     geometry = make_geometry(turning=turning, views=views)
     frames = random.integers(500, 60001, (views, 64, 48), dtype=np.uint16)
-    grid = Grid((9, 61, 45), (0.85, 0.9, 5.0), (0.0, -27.0, 20.0))
+    grid = Grid((9, 61, 50), (0.85, 0.9, 5.0), (0.0, -27.0, 20.0))
     values = random.integers(20000, 24000, grid.shape, dtype=np.uint16)
     compression = Compression(np.zeros((4, 3)), (-20.0, 20.0), 97.25, "converged")
     return SmallCase(
