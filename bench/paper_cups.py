@@ -59,7 +59,7 @@ def run(cup: str, percent: int, data: Path) -> dict[str, Any]:
         "volume_ml": results["volume_ml"],
         "glandularity": results["glandularity"],
         "compartments": results["compartments"],
-        "tetrahedra": results["tetrahedra"],
+        "tets": results["tets"],
         "force_N": results["force_N"],
         "thickness_mm": results["thickness_mm"],
         "min_det_F": results["min_det_F"],
@@ -108,7 +108,7 @@ def page(rows: list[dict[str, Any]]) -> str:
     ]
     lines += [
         f"| {r['cup']} | {r['percent']} % | {r['volume_ml']:.1f} ml | {100 * r['glandularity']:.1f} % | "
-        f"{r['tetrahedra']} | {r['force_N']:.1f} N | {r['pressure_kPa']:.2f} kPa | {r['thickness_mm']:.1f} mm | "
+        f"{r['tets']} | {r['force_N']:.1f} N | {r['pressure_kPa']:.2f} kPa | {r['thickness_mm']:.1f} mm | "
         f"{r['min_det_F']:.3f} | {100 * r['volume_change']:.2f} % |"
         for r in rows
     ]

@@ -23,7 +23,8 @@ from simcore import __version__, dicom, fem, mesh, phantom, preview, projection,
 from simcore.core import files, memory
 from simcore.core.artifacts import Compression, Phantom, ProjectionStack, Report, Volume
 from simcore.core.progress import Progress
-from simcore.core.store import FileRef, StageRecord, Store
+from simcore.core.store import FileRef, StageRecord, Store, digest
+from simcore.dicom.spec import ExportSpec
 from simcore.spec import SimulationSpec
 
 STAGES = ("phantom", "mesh", "fem", "warp", "projection", "reconstruction", "dicom", "preview")
@@ -196,39 +197,50 @@ def run(spec: SimulationSpec, store: Store, progress: CaseProgress = silent) -> 
         files.save_volume,
         files.load_volume,
     )
-    exported = case.file_stage(
-        "dicom",
-        {"export": spec.export.model_dump(), "physics": spec.physics.model_dump(), "software": __version__},
-        {"projections": stack, "volume": volume, "phantom": warped, "compression": compressed},
-        lambda folder, key, p: _export(folder, key, spec, stack, volume, warped, compressed, p),
+    export = _named(spec.export, grown.record.key)
+    description = dicom.CaseDescription(
+        identity=digest({"version": __version__, "inputs": [r.record.key for r in case.records]}),
+        seed=spec.seed,
+        software_version=__version__,
+        energy_keV=spec.physics.energy_keV,
+        detector_bits=spec.acquisition.detector.bits,
+        reconstruction_kind=spec.reconstruction.dicom_algorithm,
+        reconstruction=spec.reconstruction.title,
     )
-    pictures = case.file_stage(
+    case.file_stage(
+        "dicom",
+        {"export": export.model_dump(), "case": asdict(description)},
+        {"projections": stack, "volume": volume, "phantom": warped, "compression": compressed},
+        lambda folder, _, p: _export(folder, export, description, stack, volume, warped, compressed, p),
+    )
+    case.file_stage(
         "preview",
         {},
         {"phantom": grown, "compressed": warped, "projections": stack, "volume": volume},
         lambda folder, key, p: _previews(folder, grown, warped, stack, volume),
     )
-    del exported, pictures
     return _result(spec, store, case.records, time.perf_counter() - start)
+
+
+def _named(spec: ExportSpec, phantom_key: str) -> ExportSpec:
+    """A patient without a name is named after the phantom: all studies of one breast are of one patient."""
+    return spec if spec.patient_id else spec.with_(patient_id=phantom_key[:12])
 
 
 def _export(
     folder: Path,
-    key: str,
-    spec: SimulationSpec,
+    spec: ExportSpec,
+    description: dicom.CaseDescription,
     stack: StageResult[ProjectionStack],
     volume: StageResult[Volume],
     warped: StageResult[Phantom],
     compressed: StageResult[Compression],
     progress: Progress,
 ) -> Report:
-    # The key of this stage covers the export specification, the software and the digests of all that is written,
-    # so equal identifiers mean equal content.
-    case = dicom.CaseDescription(identity=key, seed=spec.seed, software_version=__version__, energy_keV=20.0)
     names = dicom.export(
         folder,
-        spec.export,
-        case,
+        spec,
+        description,
         stack.artifact,
         volume.artifact,
         warped.artifact,
@@ -297,7 +309,7 @@ def _results(reports: dict[str, Report]) -> Report:
     """The numbers people ask for first, gathered from the reports of the stages."""
     wanted = {
         "phantom": ("volume_ml", "glandularity", "compartments", "tissue_ml"),
-        "mesh": ("tetrahedra", "nodes"),
+        "mesh": ("tets", "nodes"),
         "fem": ("force_N", "thickness_mm", "uncompressed_thickness_mm", "min_det_F", "volume_change"),
         "warp": ("tissue_before_ml", "tissue_after_ml"),
         "projection": ("truncated",),

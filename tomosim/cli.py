@@ -89,8 +89,8 @@ def _data_argument(parser: argparse.ArgumentParser) -> None:
         "--data",
         type=Path,
         metavar="DIR",
-        default=Path(os.environ.get("TOMOSIM_DATA", DEFAULT_DATA)),
-        help="folder of the stage store (default ./data, or TOMOSIM_DATA)",
+        default=Path(os.environ.get("TOMOSIM_DATA_FOLDER", DEFAULT_DATA)),
+        help="folder of the stage store (default ./data, or TOMOSIM_DATA_FOLDER)",
     )
 
 
@@ -152,10 +152,11 @@ def _set_threads(count: int | None) -> None:
 
 
 def _serve(args: argparse.Namespace) -> int:
-    from api.serve import serve
+    from worker.embedded import serve
+    from worker.settings import Settings
 
-    options = {"host": args.host, "port": args.port, "data": args.data}
-    return serve(**{k: v for k, v in options.items() if v is not None})
+    options = {"host": args.host, "port": args.port, "data_folder": args.data}
+    return serve(Settings.load(**{k: v for k, v in options.items() if v is not None}))
 
 
 def _submit(args: argparse.Namespace) -> int:

@@ -74,3 +74,8 @@ class PhysicsSpec(Spec):
             description="distance of the samples of the trilinear sampling in voxel edges (Shannon: below 0.5) [1]",
         ),
     ] = 0.45
+
+    @property
+    def energy_keV(self) -> float:
+        """Photon energy, keV; the tables are named after it."""
+        return float(self.attenuation.rsplit("-", 1)[1].removesuffix("keV"))

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Literal
+from typing import Annotated, ClassVar, Literal
 
 from pydantic import Field
 
@@ -11,6 +11,10 @@ from simcore.core.spec_base import Spec, quantity
 
 class FilteredBackprojection(Spec):
     """Filtered back-projection: ramp x Hann x slice-thickness filter along the tube travel (Mertelmeier 2006)."""
+
+    # How DICOM names it: a defined term of Reconstruction Algorithm Type, and words.
+    dicom_algorithm: ClassVar[str] = "FILTER_BACK_PROJ"
+    title: ClassVar[str] = "filtered back-projection"
 
     kind: Literal["fbp"] = "fbp"
     slice_mm: float = quantity("distance of the slices", unit="mm", default=1.0, ge=0.1, le=20.0)

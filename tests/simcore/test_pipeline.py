@@ -110,7 +110,7 @@ def test_a_failing_stage_keeps_what_was_computed(first, monkeypatch):
         raise SimulationError("no picture today: change nothing")
 
     forget(first.store, {"reconstruction"})
-    monkeypatch.setattr(pipeline, "reconstruct", fail)
+    monkeypatch.setattr(pipeline.reconstruction, "reconstruct", fail)
     with pytest.raises(SimulationError, match="no picture"):
         pipeline.run(SPEC, first.store)
     monkeypatch.undo()

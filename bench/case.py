@@ -1,0 +1,92 @@
+"""The whole paper case, warm: seconds and peak memory of each stage, median of several runs.
+
+    python -m bench.case [--preset paper-cup-c-20] [--runs 3]
+
+Every run is a fresh process on a store that holds nothing but the mesh of the first run (fTetWild alone takes longer
+than all the rest, and gives another mesh each time). Last line: one JSON object.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import statistics
+import subprocess
+import sys
+import tempfile
+import time
+from pathlib import Path
+from typing import Any
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--preset", default="paper-cup-c-20")
+    parser.add_argument("--runs", type=int, default=3)
+    args = parser.parse_args()
+    tomosim = [sys.executable, "-m", "tomosim"]
+    subprocess.run([*tomosim, "warm-up"], check=True, stdout=sys.stderr)
+    with tempfile.TemporaryDirectory(dir=".") as folder:
+        root = Path(folder)
+        spec = root / "spec.json"
+        spec.write_bytes(subprocess.run([*tomosim, "presets", args.preset], check=True, capture_output=True).stdout)
+        mesh_seconds = stage_seconds(simulate(tomosim, spec, root))["mesh"]
+        runs = []
+        for _ in range(args.runs):
+            forget_all_but_mesh(root / "data" / "store")
+            start = time.perf_counter()
+            manifest = simulate(tomosim, spec, root)
+            runs.append((time.perf_counter() - start, manifest))
+    stages = {
+        name: round(statistics.median(stage_seconds(m)[name] for _, m in runs), 3)
+        for name in stage_seconds(runs[0][1])
+        if name != "mesh"
+    }
+    memory = {s["name"]: s["peak_memory_bytes"] for s in runs[-1][1]["stages"] if s["name"] != "mesh"}
+    print(
+        json.dumps(
+            {
+                "preset": args.preset,
+                "runs": args.runs,
+                "command_seconds_without_mesh": round(statistics.median(t for t, _ in runs), 2),
+                "pipeline_seconds_without_mesh": round(statistics.median(m["seconds"] for _, m in runs), 2),
+                "mesh_seconds": mesh_seconds,
+                "stage_seconds": stages,
+                "peak_memory_GB": round(max(memory.values()) / 1e9, 2),
+            }
+        )
+    )
+    return 0
+
+
+def simulate(tomosim: list[str], spec: Path, root: Path) -> dict[str, Any]:
+    subprocess.run(
+        [*tomosim, "simulate", str(spec), "--out", str(root / "out"), "--data", str(root / "data")],
+        check=True,
+        stdout=sys.stderr,
+        stderr=subprocess.DEVNULL,
+    )
+    manifest: dict[str, Any] = json.loads((root / "out" / "manifest.json").read_text())
+    return manifest
+
+
+def stage_seconds(manifest: dict[str, Any]) -> dict[str, float]:
+    return {s["name"]: s["seconds"] for s in manifest["stages"]}
+
+
+def forget_all_but_mesh(store: Path) -> None:
+    """Removes the records and the objects of every other stage."""
+    kept: set[str] = set()
+    for path in (store / "stages").rglob("*.json"):
+        record = json.loads(path.read_bytes())
+        if record["stage"] == "mesh":
+            kept |= {ref["sha256"] for ref in record["outputs"].values()}
+        else:
+            path.unlink()
+    for path in (store / "objects").rglob("*"):
+        if path.is_file() and path.name not in kept:
+            path.unlink()
+
+
+if __name__ == "__main__":
+    sys.exit(main())
