@@ -9,9 +9,7 @@ from simcore.fem.spec import CompressionSpec
 __all__ = ["CompressionSpec", "compress"]
 
 
-def compress(
-    mesh: TetMesh, phantom: Phantom, spec: CompressionSpec, progress: Progress = silent
-) -> Compression:
+def compress(mesh: TetMesh, phantom: Phantom, spec: CompressionSpec, progress: Progress = silent) -> Compression:
     """The equilibrium of ``mesh`` between two rigid, frictionless plates.
 
     mesh: tetrahedra in the breast frame, mm; its wall nodes are held along x and free along y and z.

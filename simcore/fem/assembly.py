@@ -127,7 +127,7 @@ def assemble(
         J = _deformation_gradient(displacement, tet, gradient, F)
         smallest = min(smallest, J)
         if not J > 0.0:
-            return J
+            return float(J)
         _inverse_transpose(F, J, inverse)
         I1 = 0.0
         for i in range(3):
@@ -137,9 +137,7 @@ def assemble(
             for i in range(3):
                 f[a, i] = F[i, 0] * gradient[a, 0] + F[i, 1] * gradient[a, 1] + F[i, 2] * gradient[a, 2]
                 q[a, i] = (
-                    inverse[i, 0] * gradient[a, 0]
-                    + inverse[i, 1] * gradient[a, 1]
-                    + inverse[i, 2] * gradient[a, 2]
+                    inverse[i, 0] * gradient[a, 0] + inverse[i, 1] * gradient[a, 1] + inverse[i, 2] * gradient[a, 2]
                 )
         # Neo-Hookean: W_iso = mu/2 (J^(-2/3) I1 - 3). Another law changes mu below to 2 dW/dI1 and adds
         # its second derivative to the tangent.
@@ -156,7 +154,7 @@ def assemble(
                 volume, shear, I1, element_pressure, quarter, gradient, f, q,
                 block_of[e], stiffness, coupling_upper, coupling_lower,
             )  # fmt: skip
-    return smallest
+    return float(smallest)
 
 
 @njit(cache=True, nogil=True)

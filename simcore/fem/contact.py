@@ -17,8 +17,10 @@ FREE, UPPER, LOWER = 0, 1, 2
 PENETRATION_MM = 1e-9
 TENSION = 1e-6
 """Pull on a node, relative to the largest nodal force, at which it leaves a plate."""
-MAX_RELEASES = 3
-"""A node that leaves and returns more often in one load step stays on its plate; the final check judges its force."""
+MAX_RELEASES = 4
+"""A node that leaves and returns more often waits on its plate until all the others have come to rest."""
+MAX_PULL = 1e-3
+"""Pull on a node, relative to the largest nodal force, that an equilibrium may not have."""
 
 
 @dataclass(frozen=True)
@@ -78,18 +80,17 @@ class Contact:
 
     def gap(self, z: Floats, plates: Plates) -> Floats:
         """(n,) way along z that brings each node of the active set onto its plate, 0 for free nodes, mm."""
-        return np.where(
-            self.status == UPPER, plates.upper - z, np.where(self.status == LOWER, plates.lower - z, 0.0)
-        )
+        return np.where(self.status == UPPER, plates.upper - z, np.where(self.status == LOWER, plates.lower - z, 0.0))
 
     def forces(self, force_z: Floats) -> tuple[float, float]:
         """(on the lower plate, on the upper plate), N, positive when pushed away."""
         return float(force_z[self.status == LOWER].sum()), float(-force_z[self.status == UPPER].sum())
 
-    def largest_pull(self, force_z: Floats) -> float:
-        """Largest force with which a plate would have to pull on a node, N; 0 where all are pushed."""
-        pull = np.where(self.status == UPPER, force_z, np.where(self.status == LOWER, -force_z, 0.0))
-        return float(max(pull.max(), 0.0))
+    def relative_pull(self, force_z: Floats) -> float:
+        """Largest force with which a plate would have to pull on a node, relative to the largest with which it
+        pushes; 0 where all are pushed."""
+        push = np.where(self.status == UPPER, -force_z, np.where(self.status == LOWER, force_z, 0.0))
+        return float(max(-push.min(), 0.0) / max(push.max(), 1e-300))
 
     def penetration(self, z: Floats, plates: Plates) -> float:
         """Largest depth of a candidate node behind a plate, mm."""

@@ -58,9 +58,10 @@ class Tangent:
             p.row_start, p.column, self.stiffness, self.coupling_upper, self.coupling_lower,
             self.compliance, free, preconditioner,
         )  # fmt: skip
-        return _conjugate_gradients(
+        x, iterations = _conjugate_gradients(
             *self._arrays, preconditioner, rhs * free, free, guard.nodes, guard.vectors, tolerance, max_iterations
         )
+        return x, int(iterations)
 
     @property
     def _arrays(self) -> tuple[Array, ...]:
@@ -94,7 +95,15 @@ class Guard:
 
 @njit(cache=True, nogil=True, fastmath=True)
 def _multiply(
-    row_start: Array, column: Array, K: Array, upper: Array, lower: Array, compliance: Array, x: Array, t: Array, y: Array
+    row_start: Array,
+    column: Array,
+    K: Array,
+    upper: Array,
+    lower: Array,
+    compliance: Array,
+    x: Array,
+    t: Array,
+    y: Array,
 ) -> float:
     """t = C^-1 B^T x, y = K x + B t; returns x . y"""
     n = row_start.shape[0] - 1

@@ -96,4 +96,4 @@ def element_parameters(mesh: TetMesh, phantom: Phantom, law: ConstitutiveLaw) ->
 
 def _lumped(tets: NDArray[np.int64], values: NDArray[Any], node_count: int) -> Floats:
     """A quarter of each element's value at each of its nodes."""
-    return np.bincount(tets.ravel(), np.repeat(values / 4, 4), node_count)
+    return np.bincount(tets.ravel(), np.repeat(values / 4, 4), node_count).astype(np.float64, copy=False)

@@ -11,11 +11,11 @@ from numpy.typing import NDArray
 from simcore.core.errors import SolverError
 from simcore.core.progress import Progress, silent
 from simcore.fem.assembly import assemble, volume_ratios
-from simcore.fem.contact import FREE, Contact, Plates
+from simcore.fem.contact import FREE, MAX_PULL, Contact, Plates
 from simcore.fem.linear import Guard, Tangent
 from simcore.fem.model import Floats, Model
 
-MAX_NEWTON = 40
+MAX_NEWTON = 30
 GAP_MM = 1e-6
 SMALLEST_VOLUME_STEP = 0.3
 """An iteration may not shrink an element below this share of its present volume."""
@@ -24,6 +24,8 @@ SMALLEST_LOAD_STEP = 0.2
 """Percent of the uncompressed thickness."""
 _FIRST_CG_TOLERANCE = 1e-2
 _LAST_CG_TOLERANCE = 1e-4
+_EXACT_FROM = 6
+"""Contact nodes that still come and go by this iteration are kept in motion by inexact linear solutions."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -142,6 +144,9 @@ class Solver:
                 and np.abs(gap).max() < GAP_MM
                 and np.abs(volume_residual / model.node_volume).max() < 10 * self.tolerance
             ):
+                if contact.relative_pull(force[:, 2]) > MAX_PULL:
+                    contact = contact.new_load_step()
+                    continue
                 low, high = contact.forces(force[:, 2])
                 return State(u, p, contact), LoadStep(np.nan, low, high, residual, iteration)
             tangent = Tangent(
@@ -167,6 +172,8 @@ class Solver:
         """How exactly to solve the linear system: no better than the next iteration can use."""
         if iteration < 2:
             return _FIRST_CG_TOLERANCE
+        if iteration >= _EXACT_FROM:
+            return _LAST_CG_TOLERANCE
         return min(_FIRST_CG_TOLERANCE, max(0.1 * self.tolerance / residual, _LAST_CG_TOLERANCE))
 
     def _direction(

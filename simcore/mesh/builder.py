@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import numba
 import numpy as np
 from numpy.typing import NDArray
 
@@ -22,13 +23,14 @@ _MAX_VOLUME_ERROR = 0.05
 def build_mesh(phantom: Phantom, spec: MeshSpec, progress: Progress) -> TetMesh:
     """See simcore.mesh.build."""
     progress(0.0, "outline of the labels")
-    surface = outline(phantom)
+    surface = outline(phantom, spec.edge_length_mm)
     edge_length = spec.edge_length_mm * surface.scale
     nodes, tets = tetwild.tetrahedralize(
         surface.points,
         surface.triangles,
         edge_length=edge_length,
         epsilon=spec.epsilon,
+        threads=numba.get_num_threads(),
         progress=part(progress, 0.05, 0.9),
     )
     progress(0.9, "cleaning the mesh")

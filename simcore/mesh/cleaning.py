@@ -22,9 +22,7 @@ def oriented(nodes: NDArray[np.float64], tets: NDArray[np.int64]) -> NDArray[np.
     return tets
 
 
-def compacted(
-    nodes: NDArray[np.float64], tets: NDArray[np.int64]
-) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+def compacted(nodes: NDArray[np.float64], tets: NDArray[np.int64]) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
     """Without the nodes that no tetrahedron uses."""
     used, inverse = np.unique(tets, return_inverse=True)
     return np.ascontiguousarray(nodes[used]), np.ascontiguousarray(inverse.reshape(tets.shape).astype(np.int64))
@@ -43,10 +41,11 @@ def largest_body(nodes: NDArray[np.float64], tets: NDArray[np.int64]) -> NDArray
     volume = np.bincount(piece[tets[:, 0]], weights=volumes(nodes, tets))
     if volume.max() < 0.99 * volume.sum():
         raise MeshError(
-            f"the mesh falls into {count} pieces, the largest with {volume.max() / volume.sum():.1%} of the volume",
+            f"the mesh falls into {np.count_nonzero(volume)} pieces, the largest with "
+            f"{volume.max() / volume.sum():.1%} of the volume",
             code="mesh-pieces",
         )
-    return tets[piece[tets[:, 0]] == volume.argmax()]
+    return np.ascontiguousarray(tets[piece[tets[:, 0]] == volume.argmax()])
 
 
 def snapped_to_wall(
@@ -74,18 +73,14 @@ def snapped_to_wall(
     return compacted(moved, tets[~flat])
 
 
-def _faces_wall(
-    nodes: NDArray[np.float64], faces: NDArray[np.int64], tolerance: float
-) -> NDArray[np.bool_]:
+def _faces_wall(nodes: NDArray[np.float64], faces: NDArray[np.int64], tolerance: float) -> NDArray[np.bool_]:
     a, b, c = (nodes[faces[:, k]] for k in range(3))
     normal = np.cross(b - a, c - a)
     normal /= np.linalg.norm(normal, axis=1, keepdims=True) + 1e-300
     return np.asarray((nodes[faces][:, :, 0].max(axis=1) < tolerance) & (normal[:, 0] < -0.7))
 
 
-def wall_and_skin(
-    nodes: NDArray[np.float64], tets: NDArray[np.int64]
-) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+def wall_and_skin(nodes: NDArray[np.float64], tets: NDArray[np.int64]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     """(nodes of the boundary faces with x == 0, ascending; the other boundary faces)."""
     faces = boundary_faces(tets)
     on_wall = (nodes[faces][:, :, 0] == 0.0).all(axis=1)

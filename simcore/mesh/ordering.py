@@ -8,9 +8,7 @@ from scipy.sparse import csr_matrix
 from scipy.sparse.csgraph import reverse_cuthill_mckee
 
 
-def cache_order(
-    nodes: NDArray[np.float64], tets: NDArray[np.int64]
-) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+def cache_order(nodes: NDArray[np.float64], tets: NDArray[np.int64]) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
     """The same mesh with nodes in reverse Cuthill-McKee order and tetrahedra by their first node.
 
     Source: Cuthill, McKee, Reducing the bandwidth of sparse symmetric matrices, Proc. 24th ACM Conf. (1969).

@@ -30,9 +30,9 @@ def radius_ratios(nodes: NDArray[np.float64], tets: NDArray[np.int64]) -> NDArra
     """3 inradius / circumradius: 1 for a regular tetrahedron, 0 for a flat one, (m,)."""
     corners = nodes[tets]
     faces = corners[:, _FACES]
-    area = 0.5 * np.linalg.norm(
-        np.cross(faces[:, :, 1] - faces[:, :, 0], faces[:, :, 2] - faces[:, :, 0]), axis=2
-    ).sum(axis=1)
+    area = 0.5 * np.linalg.norm(np.cross(faces[:, :, 1] - faces[:, :, 0], faces[:, :, 2] - faces[:, :, 0]), axis=2).sum(
+        axis=1
+    )
     length = np.linalg.norm(corners[:, _EDGES[:, 0]] - corners[:, _EDGES[:, 1]], axis=2)
     # Products of opposite edges; Crelle's formula for the circumradius.
     p, q, r = length[:, 0] * length[:, 5], length[:, 1] * length[:, 4], length[:, 2] * length[:, 3]

@@ -18,11 +18,17 @@ class TetwildMesh(Spec):
     edge_length_mm: float = quantity(
         "wanted edge length for a breast of 700 ml; scaled with the cube root of the volume, so that every size gets "
         "the same number of tetrahedra",
-        unit="mm", default=5.5, ge=2.0, le=40.0,
+        unit="mm",
+        default=5.5,
+        ge=2.0,
+        le=40.0,
     )
     epsilon: float = quantity(
         "largest distance of the mesh surface from the outline, relative to the diagonal of the bounding box",
-        unit="1", default=1e-3, ge=1e-5, le=1e-2,
+        unit="1",
+        default=1e-3,
+        ge=1e-5,
+        le=1e-2,
     )
 
     @classmethod

@@ -15,11 +15,15 @@ from simcore.mesh.occupancy import block_occupancy
 
 REFERENCE_VOLUME_ML = 700.0
 """Volume for which lengths of a mesh specification are meant."""
-RESOLUTION_MM = 2.0
-"""Edge of the blocks in which the outline of a breast of REFERENCE_VOLUME_ML is resolved."""
+BLOCK_PER_EDGE = 0.36
+"""Edge of the blocks in which the outline is resolved over the wanted edge of the tetrahedra ..."""
+LARGEST_BLOCK_MM = 4.0
+"""... but not more than this for a breast of REFERENCE_VOLUME_ML."""
 SMOOTHING_BLOCKS = 0.7
-"""Standard deviation of the Gaussian that takes away the steps of the blocks."""
-_MARGIN = 3
+"""Standard deviation of the Gaussian that takes away the steps of the blocks ..."""
+SMOOTHING_VOXELS = 1.2
+"""... and at least this many voxels: where a block is one voxel, it is all or nothing."""
+_MARGIN = 4
 
 Axes = tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]
 """Coordinates of the sample layers along (z, y, x), mm."""
@@ -69,16 +73,18 @@ def in_front_of_wall(phantom: Phantom) -> NDArray[np.uint8]:
     return labels
 
 
-def outline(phantom: Phantom) -> Outline:
+def outline(phantom: Phantom, edge_length: float = 5.5) -> Outline:
     """Block-mean occupancy, a light Gaussian, marching cubes at the level that encloses the volume of the labels.
 
+    edge_length: wanted of the tetrahedra for a breast of REFERENCE_VOLUME_ML, mm.
     raises: MeshError where the chest wall is missing or the body falls into pieces.
     """
     labels = in_front_of_wall(phantom)
     spacing = np.array(phantom.grid.spacing)[::-1]
     rough = float(np.count_nonzero(labels[::2, ::2, ::2])) * 8 * phantom.grid.voxel_volume
     scale = (max(rough, phantom.grid.voxel_volume) / (REFERENCE_VOLUME_ML * 1e3)) ** (1 / 3)
-    block = np.maximum(1, np.round(RESOLUTION_MM * scale / spacing)).astype(int)
+    resolution = scale * min(BLOCK_PER_EDGE * edge_length, LARGEST_BLOCK_MM)
+    block = np.maximum(1, np.round(resolution / spacing)).astype(int)
     occupancy = block_occupancy(labels, (int(block[0]), int(block[1]), int(block[2])))
     step = spacing * block
     volume = float(occupancy.sum(dtype=np.float64) * np.prod(step))
@@ -86,9 +92,8 @@ def outline(phantom: Phantom) -> Outline:
 
     margin = [(_MARGIN, _MARGIN), (_MARGIN, _MARGIN), (0, _MARGIN)]
     # Mirrored at the wall, so that the smoothing does not pull the outline in where it meets the wall.
-    smooth = gaussian_filter(
-        np.pad(occupancy, margin), SMOOTHING_BLOCKS, mode=["constant", "constant", "reflect"]
-    )
+    sigma = np.maximum(SMOOTHING_BLOCKS, SMOOTHING_VOXELS / block)
+    smooth = gaussian_filter(np.pad(occupancy, margin), sigma, mode=["constant", "constant", "reflect"])
     axes = (
         phantom.grid.corner[2] + (np.arange(smooth.shape[0]) + 0.5 - _MARGIN) * step[0],
         phantom.grid.corner[1] + (np.arange(smooth.shape[1]) + 0.5 - _MARGIN) * step[1],

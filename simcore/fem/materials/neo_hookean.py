@@ -10,8 +10,8 @@ from simcore.core.spec_base import Spec, quantity
 class NeoHookean(Spec):
     """W = mu/2 (J^(-2/3) I1 - 3) + kappa/2 ((J^2 - 1)/2 - ln J), mu = E / (2 (1 + nu)), kappa = E / (3 (1 - 2 nu)).
 
-    The paper gives alpha = 10.1 kPa in sigma = alpha ((1 + eps)^2 + (1 + eps)^-4). Read as E = 6 alpha = 60.6 kPa it comes
-    nearest to the paper's forces; E = 48.6 kPa is the paper's linear fit (Bakic 1998).
+    The paper gives alpha = 10.1 kPa in sigma = alpha ((1 + eps)^2 + (1 + eps)^-4). Read as E = 6 alpha = 60.6 kPa it
+    comes nearest to the paper's forces; E = 48.6 kPa is the paper's linear fit (Bakic 1998).
     """
 
     kind: Literal["neo_hookean"] = "neo_hookean"

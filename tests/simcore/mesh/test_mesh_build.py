@@ -1,0 +1,180 @@
+"""The mesh stage from labels to tetrahedra, and the child process in which the mesher runs."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from simcore.core.artifacts import Phantom, TetMesh
+from simcore.core.errors import Cancelled, MeshError
+from simcore.core.grid import Grid
+from simcore.mesh import TetwildMesh, build, tetwild
+from simcore.mesh.quality import boundary_faces, radius_ratios, volumes
+from simcore.mesh.structured import box
+from simcore.mesh.surface import enclosed_volume
+
+SEMI_AXES = (34.0, 22.0, 25.0, 20.0)
+VOLUME = np.pi / 3 * 34 * 22 * 45
+
+
+def ellipsoid(voxel: float, scale: float = 1.0) -> Phantom:
+    a, b, upper, lower = (scale * s for s in SEMI_AXES)
+    nx, ny = int(np.ceil(a / voxel)) + 2, 2 * int(np.ceil(b / voxel)) + 4
+    below, above = int(np.ceil(lower / voxel)) + 2, int(np.ceil(upper / voxel)) + 2
+    grid = Grid((below + above, ny, nx), (voxel,) * 3, (0.0, -ny * voxel / 2, -below * voxel))
+    x, y = grid.centres("x")[None, None, :], grid.centres("y")[None, :, None]
+    z = grid.centres("z")[:, None, None]
+    inside = (x / a) ** 2 + (y / b) ** 2 + (z / np.where(z > 0, upper, lower)) ** 2 <= 1
+    return Phantom(inside.astype(np.uint8), grid)
+
+
+@pytest.fixture(scope="module")
+def mesh() -> TetMesh:
+    return build(ellipsoid(1.0), TetwildMesh(edge_length_mm=14.0, epsilon=4e-3))
+
+
+def test_volume(mesh: TetMesh) -> None:
+    assert volumes(mesh.nodes, mesh.tets).sum() == pytest.approx(VOLUME, rel=0.01)
+    assert abs(mesh.report["volume_before_correction"] - 1) < 0.02
+
+
+def test_wall_is_exact(mesh: TetMesh) -> None:
+    assert (mesh.nodes[mesh.wall, 0] == 0.0).all()
+    assert mesh.nodes[:, 0].min() == 0.0
+    faces = boundary_faces(mesh.tets)
+    corners = mesh.nodes[faces[np.isin(faces, mesh.wall).all(axis=1)]]
+    area = 0.5 * np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1).sum()
+    assert area == pytest.approx(np.pi * 22 * 22.5, rel=0.02)
+
+
+def test_skin_and_wall_close_the_body(mesh: TetMesh) -> None:
+    faces = boundary_faces(mesh.tets)
+    assert len(mesh.skin) < len(faces)
+    assert enclosed_volume(mesh.nodes, faces.astype(np.int32)) == pytest.approx(mesh.report["volume_ml"] * 1e3)
+    # The wall contributes nothing to the integral of x n_x: the skin alone gives the volume.
+    a, b, c = (mesh.nodes[mesh.skin[:, k]] for k in range(3))
+    x_normal = np.cross(b - a, c - a)[:, 0] / 2
+    assert (x_normal * (a + b + c)[:, 0] / 3).sum() == pytest.approx(mesh.report["volume_ml"] * 1e3)
+
+
+def test_skin_lies_on_the_ellipsoid(mesh: TetMesh) -> None:
+    a, b, upper, lower = SEMI_AXES
+    points = mesh.nodes[np.unique(mesh.skin)] / [a, b, 1.0]
+    points[:, 2] /= np.where(points[:, 2] > 0, upper, lower)
+    distance = (np.linalg.norm(points, axis=1) - 1) * min(SEMI_AXES)
+    assert np.abs(distance).max() < 0.8
+
+
+def test_quality(mesh: TetMesh) -> None:
+    assert volumes(mesh.nodes, mesh.tets).min() > 0
+    assert radius_ratios(mesh.nodes, mesh.tets).min() > 0.05
+    assert mesh.report["radius_ratio"]["mean"] > 0.7
+    assert 500 < len(mesh.tets) < 8000
+    assert len(np.unique(mesh.tets)) == len(mesh.nodes)
+
+
+def test_tiny_phantom_of_coarse_voxels() -> None:
+    phantom = ellipsoid(2.0, scale=(5e3 / VOLUME) ** (1 / 3))
+    mesh = build(phantom, TetwildMesh(edge_length_mm=14.0, epsilon=4e-3))
+    labels_ml = np.count_nonzero(phantom.labels) * phantom.grid.voxel_volume / 1e3
+    assert mesh.report["volume_ml"] == pytest.approx(labels_ml, rel=1e-3)
+    assert abs(mesh.report["volume_before_correction"] - 1) < 0.02
+
+
+def test_nothing_is_left_in_the_current_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    cube = box((10.0, 10.0, 10.0), (1, 1, 1))
+    nodes, tets = tetwild.tetrahedralize(
+        cube.nodes, boundary_faces(cube.tets).astype(np.int32), edge_length=5.0, epsilon=1e-2
+    )
+    assert np.abs(volumes(nodes, tets)).sum() == pytest.approx(1000.0, rel=0.02)
+    assert not list(tmp_path.iterdir())
+
+
+def test_failure_carries_the_last_lines_of_the_child() -> None:
+    with pytest.raises(MeshError, match=r"the mesher failed with exit status 1.*lines.*Error") as error:
+        tetwild.tetrahedralize(np.zeros((3, 3)), np.zeros((0, 3), np.int32), edge_length=-1.0, epsilon=np.str_("x"))  # type: ignore[arg-type]
+    assert error.value.code == "mesh-failed"
+
+
+def test_timeout() -> None:
+    cube = box((10.0, 10.0, 10.0), (1, 1, 1))
+    with pytest.raises(MeshError, match=r"did not finish within 0\.01 s"):
+        tetwild.tetrahedralize(
+            cube.nodes, boundary_faces(cube.tets).astype(np.int32), edge_length=0.2, epsilon=1e-3, timeout_s=0.01
+        )
+
+
+def _children(pid: int) -> list[int]:
+    return [int(p) for p in Path(f"/proc/{pid}/task/{pid}/children").read_text().split()]
+
+
+def _slow_cube() -> str:
+    return (
+        "from simcore.mesh import tetwild; from simcore.mesh.structured import box\n"
+        "from simcore.mesh.quality import boundary_faces\n"
+        "cube = box((10.0, 10.0, 10.0), (1, 1, 1))\n"
+        "tetwild.tetrahedralize(cube.nodes, boundary_faces(cube.tets).astype('int32'), edge_length=0.1, epsilon=1e-4)"
+    )
+
+
+@pytest.mark.skipif(not Path("/proc/self/task").exists(), reason="reads /proc")
+def test_cancelling_ends_the_child() -> None:
+    before = set(_children(os.getpid()))
+
+    def cancel(fraction: float, message: str) -> None:
+        assert set(_children(os.getpid())) - before
+        raise Cancelled("stop")
+
+    cube = box((10.0, 10.0, 10.0), (1, 1, 1))
+    with pytest.raises(Cancelled):
+        tetwild.tetrahedralize(
+            cube.nodes, boundary_faces(cube.tets).astype(np.int32), edge_length=0.1, epsilon=1e-4, progress=cancel
+        )
+    assert set(_children(os.getpid())) == before
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="PR_SET_PDEATHSIG is Linux's")
+def test_child_dies_with_its_parent() -> None:
+    root = str(Path(tetwild.__file__).parents[2])
+    parent = subprocess.Popen([sys.executable, "-c", _slow_cube()], env={**os.environ, "PYTHONPATH": root})
+    try:
+        for _ in range(600):
+            mesher = [p for p in _children(parent.pid) if b"simcore.mesh.tetwild" in _command(p)]
+            # It has asked for the signal once it maps the mesher's library.
+            if mesher and "PyfTetWild" in _maps(mesher[0]):
+                break
+            time.sleep(0.05)
+        else:
+            pytest.fail("the mesher did not start")
+    finally:
+        parent.send_signal(signal.SIGKILL)
+        parent.wait()
+    for _ in range(200):
+        if b"simcore.mesh.tetwild" not in _command(mesher[0]):
+            return
+        time.sleep(0.05)
+    os.kill(mesher[0], signal.SIGKILL)
+    pytest.fail("the mesher outlived its parent")
+
+
+def _command(pid: int) -> bytes:
+    """Empty for a process that is gone or a zombie."""
+    try:
+        return Path(f"/proc/{pid}/cmdline").read_bytes()
+    except OSError:
+        return b""
+
+
+def _maps(pid: int) -> str:
+    try:
+        return Path(f"/proc/{pid}/maps").read_text()
+    except OSError:
+        return ""
