@@ -35,21 +35,24 @@ _ROUNDING = np.float32(1e-3)
 
 _ADIPOSE, _GLAND, _SKIN, _LIGAMENT = (np.uint8(t) for t in (Tissue.ADIPOSE, Tissue.GLAND, Tissue.SKIN, Tissue.LIGAMENT))
 _LANES = 16
+"""Voxels along x that are labelled at once: one vector register of float32."""
+_DELAY, _GX, _GY, _GZ, _WINNER, _LABEL = range(0, 6 * _LANES, _LANES)
+"""Offsets of the work array of a row: delay, half gradient and number of the winner; depth in ligaments, then label."""
 _TWO = np.float32(2)
 _ZERO = np.float32(0)
 _FAR = np.float32(1e30)
 
 
-def seed_table(centres: NDArray[np.float64], metrics: NDArray[np.float64], starts: NDArray[np.float64]) -> Float32:
-    """The table of the kernels.
+def seed_table(centres: NDArray[np.float64], metrics: NDArray[np.float64]) -> Float32:
+    """The table of the kernels, all seeds starting at delay 0.
 
-    centres: (n, 3), mm; metrics: S_i (n, 3, 3), 1/mm^2; starts: (n,), delay at the centre.
+    centres: (n, 3), mm; metrics: S_i (n, 3, 3), 1/mm^2.
     """
     table = np.empty((ROWS, len(centres)), dtype=np.float32)
     table[X : Z + 1] = centres.T
     for row, i, j in ((SXX, 0, 0), (SYY, 1, 1), (SZZ, 2, 2), (SXY, 0, 1), (SXZ, 0, 2), (SYZ, 1, 2)):
         table[row] = metrics[:, i, j]
-    table[START] = starts
+    table[START] = 0.0
     table[IDENTITY] = np.arange(len(centres))
     return table
 
@@ -109,63 +112,63 @@ def keep_rivals(
     return number
 
 
+@njit(cache=True, fastmath=True, error_model="numpy", inline="always")  # type: ignore[misc]
+def _along_row(seeds, q, x0, y, z):  # type: ignore[no-untyped-def]
+    """What the delay and gradient of seed q need along x: offset, column of S, gradient and delay at offset 0."""
+    dx, dy, dz = x0 - seeds[X, q], y - seeds[Y, q], z - seeds[Z, q]
+    gx = seeds[SXY, q] * dy + seeds[SXZ, q] * dz
+    gy = seeds[SYY, q] * dy + seeds[SYZ, q] * dz
+    gz = seeds[SYZ, q] * dy + seeds[SZZ, q] * dz
+    return dx, seeds[SXX, q], seeds[SXY, q], seeds[SXZ, q], gx, gy, gz, gy * dy + gz * dz + seeds[START, q]
+
+
 @njit(cache=True, fastmath=True, error_model="numpy")  # type: ignore[misc]
 def _label_row(
     seeds: Float32, count: int, glandular: int, x0: float, y: float, z: float, step: float, squared_thickness: float,
     lane: Float32,
 ) -> None:  # fmt: skip
-    """Labels of _LANES voxels along x from x0, left in the last row of ``lane``, a work array of 6 * _LANES.
+    """Labels of _LANES voxels along x from x0, left in lane[_LABEL:].
 
-    The first ``glandular`` of the ``count`` seeds are glandular. One array with constant offsets lets the compiler
-    see that nothing overlaps and keep the lanes in vector registers: delay, gradient and number of the winner.
+    The first ``glandular`` of the ``count`` seeds are glandular. One work array with constant offsets lets the
+    compiler see that nothing overlaps and keep the lanes in vector registers.
     """
-    for i in range(16):
-        lane[i] = _FAR
-        lane[16 + i] = _ZERO
-        lane[32 + i] = _ZERO
-        lane[48 + i] = _ZERO
-        lane[64 + i] = _ZERO
-        lane[80 + i] = _ZERO
+    for i in range(_LANES):
+        lane[_DELAY + i] = _FAR
+        lane[_LABEL + i] = _ZERO
+        lane[_GX + i] = _ZERO
+        lane[_GY + i] = _ZERO
+        lane[_GZ + i] = _ZERO
+        lane[_WINNER + i] = _ZERO
     for q in range(count):
-        xx, xy, xz = seeds[SXX, q], seeds[SXY, q], seeds[SXZ, q]
-        dx, dy, dz = x0 - seeds[X, q], y - seeds[Y, q], z - seeds[Z, q]
-        gx0 = xy * dy + xz * dz
-        gy0 = seeds[SYY, q] * dy + seeds[SYZ, q] * dz
-        gz0 = seeds[SYZ, q] * dy + seeds[SZZ, q] * dz
-        rest = gy0 * dy + gz0 * dz + seeds[START, q]
+        dx, xx, xy, xz, gx0, gy0, gz0, delay0 = _along_row(seeds, q, x0, y, z)
         number = np.float32(q)
-        for i in range(16):
+        for i in range(_LANES):
             x = dx + np.float32(i) * step
             gx, gy, gz = xx * x + gx0, xy * x + gy0, xz * x + gz0
-            delay = x * (gx + gx0) + rest
-            wins = delay < lane[i]
-            lane[i] = delay if wins else lane[i]
-            lane[16 + i] = gx if wins else lane[16 + i]
-            lane[32 + i] = gy if wins else lane[32 + i]
-            lane[48 + i] = gz if wins else lane[48 + i]
-            lane[64 + i] = number if wins else lane[64 + i]
+            delay = x * (gx + gx0) + delay0
+            wins = delay < lane[_DELAY + i]
+            lane[_DELAY + i] = delay if wins else lane[_DELAY + i]
+            lane[_GX + i] = gx if wins else lane[_GX + i]
+            lane[_GY + i] = gy if wins else lane[_GY + i]
+            lane[_GZ + i] = gz if wins else lane[_GZ + i]
+            lane[_WINNER + i] = number if wins else lane[_WINNER + i]
     for q in range(count):
-        xx, xy, xz = seeds[SXX, q], seeds[SXY, q], seeds[SXZ, q]
-        dx, dy, dz = x0 - seeds[X, q], y - seeds[Y, q], z - seeds[Z, q]
-        gx0 = xy * dy + xz * dz
-        gy0 = seeds[SYY, q] * dy + seeds[SYZ, q] * dz
-        gz0 = seeds[SYZ, q] * dy + seeds[SZZ, q] * dz
-        rest = gy0 * dy + gz0 * dz + seeds[START, q]
+        dx, xx, xy, xz, gx0, gy0, gz0, delay0 = _along_row(seeds, q, x0, y, z)
         number = np.float32(q)
         # A glandular rival draws no ligament against a glandular winner.
         least_winner = np.float32(glandular) if q < glandular else _ZERO
-        for i in range(16):
+        for i in range(_LANES):
             x = dx + np.float32(i) * step
             gx, gy, gz = xx * x + gx0, xy * x + gy0, xz * x + gz0
-            lead = x * (gx + gx0) + rest - lane[i]
-            gx, gy, gz = gx - lane[16 + i], gy - lane[32 + i], gz - lane[48 + i]
-            short = squared_thickness * (gx * gx + gy * gy + gz * gz) - lead * lead
-            short = short if lane[64 + i] >= least_winner else _ZERO
-            short = short if lane[64 + i] != number else _ZERO
-            lane[80 + i] = max(lane[80 + i], short)
-    for i in range(16):
-        tissue = np.float32(_GLAND) if lane[64 + i] < np.float32(glandular) else np.float32(_ADIPOSE)
-        lane[80 + i] = np.float32(_LIGAMENT) if lane[80 + i] > _ZERO else tissue
+            lead = x * (gx + gx0) + delay0 - lane[_DELAY + i]
+            gx, gy, gz = gx - lane[_GX + i], gy - lane[_GY + i], gz - lane[_GZ + i]
+            depth = squared_thickness * (gx * gx + gy * gy + gz * gz) - lead * lead
+            depth = depth if lane[_WINNER + i] >= least_winner else _ZERO
+            depth = depth if lane[_WINNER + i] != number else _ZERO
+            lane[_LABEL + i] = max(lane[_LABEL + i], depth)
+    for i in range(_LANES):
+        tissue = np.float32(_GLAND) if lane[_WINNER + i] < np.float32(glandular) else np.float32(_ADIPOSE)
+        lane[_LABEL + i] = np.float32(_LIGAMENT) if lane[_LABEL + i] > _ZERO else tissue
 
 
 class _Raster(NamedTuple):
@@ -198,8 +201,7 @@ def _narrow(
 
     returns: how many are in ``kept``; 0 where the block is settled: outside the tissue, or of one tissue and filled.
     """
-    _, ny, _ = raster.labels.shape
-    k1, j1 = min(raster.labels.shape[0], k0 + height), min(ny, j0 + height)
+    k1, j1 = min(raster.labels.shape[0], k0 + height), min(raster.labels.shape[1], j0 + height)
     deepest = 0
     for k in range(k0, k1):
         for j in range(j0, j1):
@@ -207,7 +209,7 @@ def _narrow(
     if i0 >= deepest:
         return 0
     half_x, half_y = np.float32(0.5 * width) * raster.step, np.float32(0.5 * height) * raster.step
-    number = keep_rivals(
+    number: int = keep_rivals(
         seeds, count,
         np.float32(i0) * raster.step + half_x,
         raster.y0 + np.float32(j0) * raster.step + half_y,
@@ -243,7 +245,7 @@ def _label_leaf(
             z = raster.z0 + np.float32(k) * raster.step + half
             _label_row(seeds, count, glandular, x, y, z, raster.step, squared_thickness, lane)
             for i in range(length):
-                raster.labels[k, j, i0 + i] = np.uint8(lane[5 * _LANES + i])
+                raster.labels[k, j, i0 + i] = np.uint8(lane[_LABEL + i])
 
 
 @njit(cache=True, parallel=True, error_model="numpy")  # type: ignore[misc]

@@ -125,10 +125,11 @@ def _inner_surface_depth(
 
 
 def _axes_for_counted_volume(spec: AnthropomorphicPhantom) -> SemiAxes:
-    """The semi-axes of the specification, scaled by the least that lets the voxels count up to the volume."""
+    """The semi-axes of the specification, scaled by the least that lets the voxels count up to the volume (by nothing
+    at all with fine voxels)."""
     best_error, best = math.inf, spec.semi_axes()
     for step in range(61):
-        for scale in {1.0 + 0.0015 * step, 1.0 - 0.0015 * step}:
+        for scale in (1.0 + 0.0015 * step, 1.0 - 0.0015 * step):
             a, b, upper, lower = (scale * axis for axis in spec.semi_axes())
             error = abs(_counted_volume_ml((a, b, upper, lower), spec.voxel_mm) / spec.volume_ml - 1.0)
             if error < best_error:

@@ -28,10 +28,9 @@ RELATIVE_VOLUME = {Region.SUBCUTANEOUS: 0.94, Region.RETROMAMMARY: 0.89, Region.
 """Volumes of compartments in breasts, cm^3 (PHYSICS.md section 3); only their ratios are used, since the number of
 compartments is given."""
 
-SMALL_SHARE = 0.40
-"""Share of the interior seeds that stay small: what of them lies in the glandular region becomes enclosed fat."""
-SMALL_VOLUME = 0.35
-"""Volume of those, relative to other interior compartments."""
+SMALL_VOLUME = 0.15
+"""Volume of the small interior compartments relative to the others there. What of them comes to lie in the glandular
+region becomes enclosed fat."""
 
 _CANDIDATES = 12
 """Random places tried for each seed; the one farthest from all others is taken."""
@@ -71,7 +70,7 @@ class Seeds:
     centres: (n, 3) (x, y, z), mm.
     metrics: (n, 3, 3), S_i, 1/mm^2: the unit ellipsoid of S_i has about the volume of the compartment.
     region:  (n,) Region.
-    small:   (n,) bool, see SMALL_SHARE.
+    small:   (n,) bool, see SMALL_VOLUME.
     rank:    (n,) the order in which seeds become glandular: radius in the similar ellipsoids of the fibroglandular
              region, with some noise.
     """
@@ -93,20 +92,27 @@ def layers(spec: AnthropomorphicPhantom, axes: SemiAxes, scale: float) -> Layers
     return Layers(inner, outer, scale * spec.compartments.retromammary_mm)
 
 
-def plant(spec: AnthropomorphicPhantom, axes: SemiAxes, border: Layers, random: np.random.Generator) -> Seeds:
-    """``spec.compartments.count`` seeds in the three regions, spread evenly."""
+def plant(
+    spec: AnthropomorphicPhantom, axes: SemiAxes, border: Layers, enclosed: float, random: np.random.Generator
+) -> Seeds:
+    """``spec.compartments.count`` seeds in the three regions, spread evenly.
+
+    enclosed: share of the interior volume that small compartments take up, 0 to 1.
+    """
     compartments = spec.compartments
     regions = border.volumes(axes)
     numbers = _share_out(compartments.count, {r: v / RELATIVE_VOLUME[r] for r, v in regions.items()})
     centres, metrics, region, small = [], [], [], []
+    small_share = enclosed / (enclosed + SMALL_VOLUME * (1.0 - enclosed))
     placed = np.empty((0, 3))
     placed_radius = np.empty(0)
     for kind, number in numbers.items():
         if number == 0:
             continue
         mean = regions[kind] / number
-        is_small = (kind is Region.INTERIOR) & (random.random(number) < SMALL_SHARE)
-        volume = mean * np.exp(random.normal(0.0, 0.3, number)) * np.where(is_small, SMALL_VOLUME, 1.0)
+        is_small = (kind is Region.INTERIOR) & (random.random(number) < small_share)
+        shrunk = np.where(is_small, SMALL_VOLUME, 1.0)
+        volume = mean * shrunk / shrunk.mean() * np.exp(random.normal(0.0, 0.3, number))
         radius = np.cbrt(volume * 3 / (4 * math.pi))
         candidates, half_thickness = _candidates(kind, number, mean, axes, border, random)
         chosen = _farthest(candidates, radius, placed, placed_radius)
@@ -173,16 +179,17 @@ def _candidates(
 def _depth(sheets: int, number: int, random: np.random.Generator) -> Float64:
     """Relative depth in a layer of ``sheets`` sheets of compartments, the same for all candidates of a seed."""
     sheet = random.integers(0, sheets, number) + 0.5 + 0.15 * (2 * random.random(number) - 1)
-    return np.repeat(sheet / sheets, _CANDIDATES)
+    depth: Float64 = np.repeat(sheet / sheets, _CANDIDATES)
+    return depth
 
 
 def _ellipsoid_points(number: int, axes: SemiAxes, random: np.random.Generator) -> Float64:
     """Points spread evenly over the breast outline."""
     a, b, upper, lower = axes
-    points = random.normal(size=(number, 3))
+    points: Float64 = random.normal(size=(number, 3))
     points *= (np.cbrt(random.random(number)) / np.linalg.norm(points, axis=1))[:, None]
     c = np.where(random.random(number) * (upper + lower) < upper, upper, -lower)
-    points = np.abs(points) * np.stack([np.full(number, a), np.full(number, b), c], axis=1)
+    points[:] = np.abs(points) * np.stack([np.full(number, a), np.full(number, b), c], axis=1)
     points[:, 1] *= np.where(random.random(number) < 0.5, 1.0, -1.0)
     return points
 

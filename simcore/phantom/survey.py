@@ -9,9 +9,7 @@ import numpy as np
 from numba import njit, prange
 from numpy.typing import NDArray
 
-from simcore.phantom.cells import (
-    IDENTITY, ROWS, START, SXX, SXY, SXZ, SYY, SYZ, SZZ, Float32, X, Y, Z, keep_rivals,
-)  # fmt: skip
+from simcore.phantom.cells import IDENTITY, ROWS, START, SXX, SXY, SXZ, SYY, SYZ, SZZ, Float32, X, Y, Z, keep_rivals
 from simcore.phantom.outline import Outline
 
 SAMPLES = 300_000
