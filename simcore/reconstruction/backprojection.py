@@ -16,18 +16,11 @@ from numpy.typing import NDArray
 
 from simcore.core.geometry import AcquisitionGeometry
 from simcore.core.grid import Grid
-from simcore.reconstruction.interpolation import (
-    PADDING,
-    add_resampled,
-    add_two_rows,
-    column_positions,
-    row_weights,
-)
+from simcore.reconstruction.interpolation import add_two_rows, row_weights
+from simcore.reconstruction.lanes import ROWS, add_resampled_rows, padded_width, padding
 
 FloatArray = NDArray[np.float32]
 Coordinates = NDArray[np.float64]
-ROWS = 8
-"""Voxel rows that one thread works on at a time: their detector rows overlap and stay in the cache."""
 
 
 @dataclass(frozen=True)
@@ -84,9 +77,22 @@ def backproject_quantised(
     """
     clipped = np.zeros((-(-(rows.stop - rows.start) // ROWS), 2), np.int64)
     _backproject_rows(
-        filtered, plan.order, plan.group_start, plan.row_offset, plan.row_step, plan.column_offset, plan.column_step,
-        plan.weight, np.float32(1.0 / slope), np.float32(-intercept / slope), rows.start, rows.stop, out, clipped,
-    )  # fmt: skip
+        filtered,
+        plan.order,
+        plan.group_start,
+        plan.row_offset,
+        plan.row_step,
+        plan.column_offset,
+        plan.column_step,
+        plan.weight,
+        padding(float(plan.column_step.max())),
+        padded_width(out.shape[2]),
+        np.float32(1.0 / slope),
+        np.float32(-intercept / slope),
+        (rows.start, rows.stop),
+        out,
+        clipped,
+    )
     return int(clipped[:, 0].sum()), int(clipped[:, 1].sum())
 
 
@@ -100,40 +106,38 @@ def _backproject_rows(
     column_offset: Coordinates,
     column_step: Coordinates,
     weight: FloatArray,
+    pad: int,
+    width: int,
     scale: np.float32,
     shift: np.float32,
-    first_row: int,
-    last_row: int,
+    row_range: tuple[int, int],
     out: NDArray[np.uint16],
     clipped: NDArray[np.int64],
 ) -> None:
     """``backproject_quantised`` for blocks of ROWS voxel rows, each of which belongs to one thread."""
     nz, _, nx = out.shape
-    _, rows, columns = filtered.shape
+    _, detector_rows, columns = filtered.shape
     for block in prange(clipped.shape[0]):
-        y0 = first_row + block * ROWS
-        count = min(ROWS, last_row - y0)
-        padded = np.zeros((ROWS, columns + PADDING), np.float32)
-        attenuation = np.empty((ROWS, nx), np.float32)
-        left = np.empty(nx, np.int32)
-        fraction = np.empty(nx, np.float32)
+        y0 = row_range[0] + block * ROWS
+        count = min(ROWS, row_range[1] - y0)
+        summed = np.zeros((ROWS, columns + 2 * pad), np.float32)
+        attenuation = np.empty((ROWS, width), np.float32)
         low = high = 0
         for z in range(nz):
             attenuation[:] = 0.0
             for group in range(len(group_start) - 1):
-                column_positions(column_offset[z, group], column_step[z, group], columns, left, fraction)
                 for r in range(count):
-                    summed = padded[r, 1 : columns + 1]
-                    summed[:] = 0.0
+                    row = summed[r, pad : pad + columns]
+                    row[:] = 0.0
                     for k in range(group_start[group], group_start[group + 1]):
                         view = filtered[order[k]]
                         position = row_offset[z, k] + (y0 + r) * row_step[z, k]
-                        first, second, lower, upper = row_weights(position, rows)
+                        first, second, lower, upper = row_weights(position, detector_rows)
                         lower, upper = np.float32(lower * weight[z, k]), np.float32(upper * weight[z, k])
-                        add_two_rows(view[first], view[second], lower, upper, summed)
-                    add_resampled(padded[r], left, fraction, attenuation[r])
+                        add_two_rows(view[first], view[second], lower, upper, row)
+                add_resampled_rows(summed, pad, column_offset[z, group], column_step[z, group], attenuation)
             for r in range(count):
-                below, above = _quantise(attenuation[r], scale, shift, out[z, y0 + r])
+                below, above = _quantise(attenuation[r, :nx], scale, shift, out[z, y0 + r])
                 low += below
                 high += above
         clipped[block, 0] = low

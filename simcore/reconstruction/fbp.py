@@ -14,7 +14,7 @@ from simcore.core.errors import GeometryError
 from simcore.core.geometry import AcquisitionGeometry
 from simcore.core.grid import Grid
 from simcore.core.progress import Progress, silent
-from simcore.reconstruction.backprojection import ROWS, backproject_quantised, plan_backprojection
+from simcore.reconstruction.backprojection import backproject_quantised, plan_backprojection
 from simcore.reconstruction.filters import (
     angular_steps,
     filter_columns,
@@ -22,6 +22,7 @@ from simcore.reconstruction.filters import (
     padded_length,
     ray_weights,
 )
+from simcore.reconstruction.lanes import ROWS
 from simcore.reconstruction.line_integrals import line_integrals, lit_columns
 from simcore.reconstruction.spec import FilteredBackprojection
 

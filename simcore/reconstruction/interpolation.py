@@ -1,8 +1,8 @@
-"""Rows read at evenly spaced positions between their entries: what all kernels of this room share.
+"""Interpolation between image rows, and the transpose of the interpolation along a row.
 
-Everything outside a row or an array counts as zero: rows that are read along x are padded with zeros, and an index
-row beyond an array has no weight. The source and the detector's x axis are parallel to the slices in every view, so
-positions along x are the same for all rows of a slice.
+Everything outside a row or an array counts as zero. The source and the detector's x axis are parallel to the slices in
+every view, so a row of voxels and a row of pixels see one another with one pair of row weights, and positions along
+x are the same for all rows of a slice.
 """
 
 from __future__ import annotations
@@ -12,20 +12,6 @@ from numba import njit
 from numpy.typing import NDArray
 
 FloatArray = NDArray[np.float32]
-PADDING = 3
-"""Zero entries of a padded row: one before the first pixel, two after the last."""
-
-
-@njit(cache=True, error_model="numpy")
-def column_positions(offset: float, step: float, columns: int, left: NDArray[np.int32], fraction: FloatArray) -> None:
-    """Fill left[i], fraction[i]: position offset + i step lies so far after entry left[i] of a padded row.
-
-    offset, step: in pixels, 0 being the centre of the first of ``columns`` pixels.
-    """
-    for i in range(len(left)):
-        position = min(max(offset + i * step, -1.0), float(columns)) + 1.0
-        left[i] = int(position)
-        fraction[i] = position - left[i]
 
 
 @njit(cache=True, error_model="numpy")
@@ -55,20 +41,19 @@ def add_two_rows(
         total[i] += lower * first[i] + upper * second[i]
 
 
-@njit(cache=True, fastmath={"contract"}, error_model="numpy")
-def add_resampled(row: FloatArray, left: NDArray[np.int32], fraction: FloatArray, total: FloatArray) -> None:
-    """total[i] += padded ``row`` at the position of left[i], fraction[i]."""
-    for i in range(len(total)):
-        # An unsigned index needs no test for negative values, which would keep the loop from being vectorised.
-        u = np.uint64(left[i])
-        total[i] += row[u] + fraction[i] * (row[u + np.uint64(1)] - row[u])
-
-
 @njit(cache=True, error_model="numpy")
-def scatter_resampled(values: FloatArray, left: NDArray[np.int32], fraction: FloatArray, row: FloatArray) -> None:
-    """The transpose of add_resampled: row += values spread over the entries they would be read from."""
+def scatter_resampled(values: FloatArray, offset: float, step: float, row: FloatArray) -> None:
+    """The transpose of ``lanes.add_resampled_rows`` for one row: row += values, each spread over the two entries that
+    it would be read from.
+
+    offset, step: position of the first of ``values`` and distance of the next, in entries of ``row``.
+    """
+    last = len(row) - 1
     for i in range(len(values)):
-        u = np.uint64(left[i])
-        right = fraction[i] * values[i]
-        row[u] += values[i] - right
-        row[u + np.uint64(1)] += right
+        position = offset + i * step
+        left = int(np.floor(position))
+        right = np.float32(position - left) * values[i]
+        if 0 <= left <= last:
+            row[left] += values[i] - right
+        if -1 <= left < last:
+            row[left + 1] += right

@@ -16,19 +16,11 @@ from numpy.typing import NDArray
 from simcore.core.errors import GeometryError
 from simcore.core.geometry import AcquisitionGeometry
 from simcore.core.grid import Grid
-from simcore.reconstruction.interpolation import (
-    PADDING,
-    add_resampled,
-    add_two_rows,
-    column_positions,
-    row_weights,
-    scatter_resampled,
-)
+from simcore.reconstruction.interpolation import add_two_rows, row_weights, scatter_resampled
+from simcore.reconstruction.lanes import ROWS, add_resampled_rows, padded_width, padding
 
 FloatArray = NDArray[np.float32]
 Coordinates = NDArray[np.float64]
-ROWS = 8
-"""Detector rows that one thread projects at a time: they cross the same rows of a slice."""
 
 
 def project_slices(volume: FloatArray, grid: Grid, geometry: AcquisitionGeometry) -> FloatArray:
@@ -44,8 +36,10 @@ def project_slices(volume: FloatArray, grid: Grid, geometry: AcquisitionGeometry
     detector = geometry.detector
     projections = np.zeros((geometry.views, detector.ny, detector.nx), np.float32)
     offsets, steps = _crossings(grid, geometry)
+    slices = np.ascontiguousarray(volume, np.float32)
+    pad, width = padding(float(steps[:, :, 1].max())), padded_width(detector.nx)
     for view in range(geometry.views):
-        _project_view(np.ascontiguousarray(volume, np.float32), offsets[view], steps[view], projections[view])
+        _project_view(slices, offsets[view], steps[view], pad, width, projections[view])
         projections[view] *= _ray_lengths(grid, geometry, view)
     return projections
 
@@ -102,41 +96,39 @@ def _ray_lengths(grid: Grid, geometry: AcquisitionGeometry, view: int) -> FloatA
 
 
 @njit(cache=True, parallel=True, error_model="numpy")
-def _project_view(volume: FloatArray, offset: Coordinates, step: Coordinates, projection: FloatArray) -> None:
+def _project_view(
+    volume: FloatArray, offset: Coordinates, step: Coordinates, pad: int, width: int, projection: FloatArray
+) -> None:
+    """Fill float32 (ny, nx) of one view with sums over slices; ROWS detector rows belong to one thread."""
     nz, ny, nx = volume.shape
-    rows, columns = projection.shape
-    for block in prange((rows + ROWS - 1) // ROWS):
-        padded = np.zeros(nx + PADDING, np.float32)
-        left = np.empty(columns, np.int32)
-        fraction = np.empty(columns, np.float32)
+    detector_rows, columns = projection.shape
+    for block in prange((detector_rows + ROWS - 1) // ROWS):
+        j0 = block * ROWS
+        count = min(ROWS, detector_rows - j0)
+        crossed = np.zeros((ROWS, nx + 2 * pad), np.float32)
+        sums = np.zeros((ROWS, width), np.float32)
         for z in range(nz):
-            column_positions(offset[z, 1], step[z, 1], nx, left, fraction)
-            for j in range(block * ROWS, min((block + 1) * ROWS, rows)):
-                first, second, lower, upper = row_weights(offset[z, 0] + j * step[z, 0], ny)
-                if lower == 0.0 and upper == 0.0:
-                    continue
-                crossed = padded[1 : nx + 1]
-                crossed[:] = 0.0
-                add_two_rows(volume[z, first], volume[z, second], np.float32(lower), np.float32(upper), crossed)
-                add_resampled(padded, left, fraction, projection[j])
+            for r in range(count):
+                row = crossed[r, pad : pad + nx]
+                row[:] = 0.0
+                first, second, lower, upper = row_weights(offset[z, 0] + (j0 + r) * step[z, 0], ny)
+                add_two_rows(volume[z, first], volume[z, second], np.float32(lower), np.float32(upper), row)
+            add_resampled_rows(crossed, pad, offset[z, 1], step[z, 1], sums)
+        projection[j0 : j0 + count] = sums[:count, :columns]
 
 
 @njit(cache=True, parallel=True, error_model="numpy")
 def _backproject_view(projection: FloatArray, offset: Coordinates, step: Coordinates, volume: FloatArray) -> None:
+    """Add one view to every slice; a slice belongs to one thread."""
     nz, ny, nx = volume.shape
-    rows, columns = projection.shape
     for z in prange(nz):
-        padded = np.zeros(nx + PADDING, np.float32)
-        left = np.empty(columns, np.int32)
-        fraction = np.empty(columns, np.float32)
-        column_positions(offset[z, 1], step[z, 1], nx, left, fraction)
-        for j in range(rows):
+        spread = np.empty(nx, np.float32)
+        for j in range(projection.shape[0]):
             first, second, lower, upper = row_weights(offset[z, 0] + j * step[z, 0], ny)
             if lower == 0.0 and upper == 0.0:
                 continue
-            padded[:] = 0.0
-            scatter_resampled(projection[j], left, fraction, padded)
-            spread = padded[1 : nx + 1]
+            spread[:] = 0.0
+            scatter_resampled(projection[j], offset[z, 1], step[z, 1], spread)
             for i in range(nx):
                 volume[z, first, i] += np.float32(lower) * spread[i]
             for i in range(nx):

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from simcore.core.errors import Cancelled, GeometryError
+from simcore.core.geometry import AcquisitionGeometry
 from simcore.reconstruction import FilteredBackprojection, reconstruct
 from simcore.reconstruction.fbp import volume_grid
 
@@ -23,11 +24,11 @@ def at(volume, x, y, z):
     return volume.slope * float(volume.data[index[2], index[1], index[0]]) + volume.intercept
 
 
-def value_inside(geometry, axes, mu, y, z):
-    """Filtered back-projection inside an elliptic cylinder along x, semi-axes a (y) and b (z), from views without gap.
+def value_at_centre(geometry, axes, mu, y, z):
+    """Filtered back-projection at the centre of an elliptic cylinder along x, semi-axes a (y) and b (z).
 
     A parallel view inclined by t, ramp filtered, is mu a b / (pi (a^2 cos^2 t + b^2 sin^2 t)) all over the cylinder;
-    the integral over t is mu / pi atan(b / a tan t).
+    the integral over the inclinations t that the centre is seen at is mu / pi atan(b / a tan t).
     """
     a, b = axes
     half_step = np.deg2rad(abs(geometry.angles[1] - geometry.angles[0])) / 2
@@ -38,22 +39,22 @@ def value_inside(geometry, axes, mu, y, z):
 
 
 @pytest.mark.parametrize(
-    ("angular_range", "views", "axes", "expected_part"),
+    ("angular_range", "views", "axes", "centre", "part"),
     [
-        (40.0, 15, (30.0, 12.0), 0.1),  # the paper's range: most of a flat object is lost
-        (110.0, 37, (12.0, 12.0), 0.63),
-        (110.0, 37, (6.0, 18.0), 0.86),  # upright and seen widely: close to the true value
+        (40.0, 15, (30.0, 12.0), (0.5, 40.5), 0.1),  # the paper's range: most of a flat object is lost
+        (40.0, 15, (30.0, 12.0), (0.5, 65.5), 0.1),  # not at the pivot
+        (80.0, 41, (12.0, 12.0), (-20.5, 32.5), 0.45),  # to the side
+        (110.0, 61, (6.0, 18.0), (0.5, 40.5), 0.86),  # upright and seen widely: close to the true value
     ],
 )
-def test_value_inside_a_long_cylinder(make_geometry, acquire, angular_range, views, axes, expected_part):
-    mu, centre_z = 0.02, 40.0
-    geometry = make_geometry(ny=500, nx=24, pixel=1.0, views=views, angular_range=angular_range)
-    stack = acquire(geometry, [((0.0, 3.0, centre_z), (1e5, *axes), mu)])
-    volume = reconstruct(stack, FINE, 40.0)
-    for x, y, z in [(4.3, 3.0, 40.0), (15.3, 3.0, 40.0), (10.3, 3.0 - 0.4 * axes[0], 37.0), (10.3, 5.0, 45.0)]:
-        expected = value_inside(geometry, axes, mu, y, z)
-        assert at(volume, x, y, z) == pytest.approx(expected, rel=0.02)
-    assert value_inside(geometry, axes, mu, 3.0, centre_z) / mu == pytest.approx(expected_part, abs=0.03)
+def test_value_at_the_centre_of_a_cylinder(make_geometry, acquire, angular_range, views, axes, centre, part):
+    mu = 0.02
+    geometry = make_geometry(ny=500, nx=12, pixel=1.0, views=views, angular_range=angular_range)
+    spec = FINE.with_(value_slope=4e-7, value_intercept=-0.005, slice_thickness_filter=False)
+    volume = reconstruct(acquire(geometry, [((0.0, *centre), (1e5, *axes), mu)]), spec, 50.0)
+    expected = value_at_centre(geometry, axes, mu, *centre)
+    assert expected / mu == pytest.approx(part, abs=0.03)
+    assert at(volume, 5.5, *centre) == pytest.approx(expected, rel=3e-3)
 
 
 def test_beads_lie_where_they_are(make_geometry, acquire):
@@ -95,17 +96,49 @@ def test_a_turning_detector_gives_the_same_volume(make_geometry, acquire):
     assert at(turned, 8.0, -4.0, 32.0) == pytest.approx(at(still, 8.0, -4.0, 32.0), rel=0.02)
 
 
-def test_object_at_the_edge_of_the_detector_leaves_no_streak(make_geometry, acquire):
-    """Voxels that a view does not see get nothing from it: no copy of the last detector row."""
-    geometry = make_geometry(ny=200, nx=40, pixel=0.5)
-    edge = ((10.0, 47.0, 40.5), (4.0, 6.0, 8.0), 0.02)
-    values = attenuation(reconstruct(acquire(geometry, [edge]), FINE, 40.0))
-    inside = values[20, 188:196, 16:24]
-    # Above the object the outer views leave the detector at y = 50 mm. A clamped edge would pile up as much there.
-    above = values[38, 180:200, 16:24]
-    assert inside.mean() > 0.0
-    assert np.abs(above).max() < inside.max()
-    assert not np.any(np.diff(np.abs(values[:, 199, 16:24]).max(axis=1)[24:]) > 0.2 * inside.mean())
+def test_size_of_the_detector_changes_nothing_where_all_views_see(make_geometry, acquire):
+    """An object that nearly touches the edge: nothing wraps round in the filter, nothing is clamped."""
+    edge = ((10.0, 25.0, 32.0), (6.0, 5.0, 5.0), 0.02)
+    small, large = (
+        reconstruct(acquire(make_geometry(ny=ny, nx=40, angular_range=30.0), [edge]), FINE, 20.0) for ny in (180, 320)
+    )
+    # At z = 40 mm rays shift by 40 tan(15 degrees) = 11 mm at most: |y| < 32 mm is seen by all views.
+    seen = np.abs(small.grid.centres("y")) < 32.0
+    first, second = attenuation(small)[:, seen], attenuation(large)[:, 70:250][:, seen]
+    assert second.max() > 1e-3
+    assert np.abs(first - second).max() < 3e-6
+    # The first view, tube at -y, sees the object shifted to +y: beyond it, no view leaves a copy of its last row.
+    assert np.abs(attenuation(small)[-1, -2:]).max() < 0.2 * second.max()
+
+
+def test_value_does_not_change_along_a_cylinder(make_geometry, acquire):
+    """Far from the plane of the tube as well: rays are longer there, and weighted less (Feldkamp)."""
+    geometry = make_geometry(ny=240, nx=150, pixel=1.0, views=41, angular_range=80.0, source_to_detector=300.0)
+    stack = acquire(geometry, [((0.0, 0.5, 42.0), (1e5, 12.0, 12.0), 0.02)])
+    spec = FINE.with_(slice_mm=4.0, slice_thickness_filter=False)
+    values = attenuation(reconstruct(stack, spec, 40.0))[5, 120]
+    assert values[[1, 60, 120]] == pytest.approx(value_at_centre(geometry, (12.0, 12.0), 0.02, 0.5, 42.0), rel=2e-3)
+
+
+def test_views_count_by_the_angle_they_stand_for(make_geometry, acquire):
+    """Twice as many views on one side change no value inside."""
+    dense = make_geometry(ny=500, nx=8, pixel=1.0, views=37, angular_range=110.0)
+    kept = np.array([k for k in range(37) if k >= 18 or k % 2 == 0])
+    sparse = AcquisitionGeometry(
+        **{
+            **vars(dense),
+            "angles": dense.angles[kept],
+            "sources": dense.sources[kept],
+            "detector_angles": dense.detector_angles[kept],
+        }
+    )
+    ellipsoids = [((0.0, 0.0, 40.0), (1e5, 12.0, 18.0), 0.02)]
+    first, second = (reconstruct(acquire(g, ellipsoids), FINE, 40.0) for g in (dense, sparse))
+    wider = (
+        np.deg2rad(110.0 / 36) / 2 * 0.02 / np.pi * 12 * 18 / (12**2 * np.cos(0.96) ** 2 + 18**2 * np.sin(0.96) ** 2)
+    )
+    # The first view of the sparse half stands for half a wide step beyond its angle.
+    assert at(second, 4.5, 0.5, 40.0) == pytest.approx(at(first, 4.5, 0.5, 40.0) + wider, rel=0.01)
 
 
 def test_grid_of_slices(make_geometry):

@@ -1,0 +1,127 @@
+"""Resampling of image rows at evenly spaced positions with vector instructions and no gathers.
+
+Sixteen neighbouring positions with a step near one pixel read a window of few more than sixteen pixels. Position
+l of a window that starts at pixel s lies at p + l d from s + l (d = step - 1, small), so
+
+    value[l] = sum over t of hat(p + l d - t) row[s + l + t],   hat(x) = max(0, 1 - |x|),
+
+where each term is one contiguous load. Linear interpolation has two terms that are not zero; the others cost less than
+sixteen scattered loads, and the weights serve eight rows. numba has no vector types, hence the LLVM instructions
+written out below; LLVM lowers them to whatever width the processor has.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from llvmlite import ir
+from numba import njit
+from numba.core import cgutils, types
+from numba.extending import intrinsic
+from numpy.typing import NDArray
+
+FloatArray = NDArray[np.float32]
+
+LANES = 16
+ROWS = 8
+"""Rows resampled together."""
+
+_INDEX = ir.IntType(64)
+_FLOAT = ir.FloatType()
+_VECTOR = ir.VectorType(_FLOAT, LANES)
+
+
+def padded_width(count: int) -> int:
+    """``count`` rounded up to whole vectors: the width that ``add_resampled_rows`` fills."""
+    return -(-count // LANES) * LANES
+
+
+def padding(step: float) -> int:
+    """Zeros needed before and after a row that is read with steps of up to ``step`` pixels."""
+    return LANES * int(np.ceil(max(step, 1.0))) + 4
+
+
+@njit(cache=True, error_model="numpy")
+def add_resampled_rows(rows: FloatArray, pad: int, offset: float, step: float, totals: FloatArray) -> None:
+    """totals[r, i] += row r read at the position offset + i step, linearly interpolated, zero beyond its ends.
+
+    rows: (ROWS, pad + columns + pad), C order, zero in the padding; pad: ``padding(step)`` or more.
+    offset, step: in pixels, 0 is the centre of the first of the ``columns`` pixels; step > 0.
+    totals: (ROWS, padded_width(n)), C order.
+    """
+    columns = rows.shape[1] - 2 * pad
+    drift = (LANES - 1) * (step - 1.0)
+    for start in range(0, totals.shape[1], LANES):
+        position = offset + start * step
+        if position >= columns or position + (LANES - 1) * step <= -1.0:
+            continue
+        window = int(np.floor(position + min(drift, 0.0)))
+        first = position - window
+        taps = int(max(first, first + drift)) + 2
+        _add_window(rows, window + pad, totals, start, np.float32(first), np.float32(step - 1.0), taps)
+
+
+@intrinsic  # type: ignore[untyped-decorator]
+def _add_window(
+    typing: Any, rows: Any, window: Any, totals: Any, start: Any, first: Any, drift: Any, taps: Any
+) -> tuple[Any, Any]:
+    """totals[r, start + l] += sum over t < taps of hat(first + l drift - t) rows[r, window + l + t], l < 16, r < 8."""
+    signature = types.void(rows, types.int64, totals, types.int64, types.float32, types.float32, types.int64)
+
+    def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        rows_value, window, totals_value, start, first, drift, taps = arguments
+        read = _Rows(context, builder, signature.args[0], rows_value, window)
+        write = _Rows(context, builder, signature.args[2], totals_value, start)
+        function = ir.FunctionType(_VECTOR, [_VECTOR])
+        absolute = cgutils.get_or_insert_function(builder.module, function, f"llvm.fabs.v{LANES}f32")
+        function = ir.FunctionType(_VECTOR, [_VECTOR] * 2)
+        largest = cgutils.get_or_insert_function(builder.module, function, f"llvm.maxnum.v{LANES}f32")
+        function = ir.FunctionType(_VECTOR, [_VECTOR] * 3)
+        multiply_add = cgutils.get_or_insert_function(builder.module, function, f"llvm.fmuladd.v{LANES}f32")
+
+        lane = ir.Constant(_VECTOR, [float(n) for n in range(LANES)])
+        zero, one = (ir.Constant(_VECTOR, [value] * LANES) for value in (0.0, 1.0))
+        position = builder.call(multiply_add, [lane, _splat(builder, drift), _splat(builder, first)])
+        # LLVM keeps these in registers.
+        sums = [cgutils.alloca_once_value(builder, write.load(row, _INDEX(0))) for row in range(ROWS)]
+        with cgutils.for_range(builder, taps) as loop:
+            tap = _splat(builder, builder.sitofp(loop.index, _FLOAT))
+            distance = builder.call(absolute, [builder.fsub(position, tap)])
+            hat = builder.call(largest, [zero, builder.fsub(one, distance)])
+            for row in range(ROWS):
+                total = builder.call(multiply_add, [hat, read.load(row, loop.index), builder.load(sums[row])])
+                builder.store(total, sums[row])
+        for row in range(ROWS):
+            write.store(row, builder.load(sums[row]))
+        return context.get_dummy_value()
+
+    return signature, generate
+
+
+class _Rows:
+    """Vectors in the rows of a C-ordered float32 matrix, from one column on."""
+
+    def __init__(self, context: Any, builder: Any, kind: Any, value: Any, column: Any) -> None:
+        matrix = context.make_array(kind)(context, builder, value)
+        self.builder = builder
+        self.data = matrix.data
+        width = builder.extract_value(matrix.shape, 1)
+        self.starts = [builder.add(column, builder.mul(width, _INDEX(row))) for row in range(ROWS)]
+
+    def _pointer(self, row: int, shift: Any) -> Any:
+        address = self.builder.gep(self.data, [self.builder.add(self.starts[row], shift)])
+        return self.builder.bitcast(address, _VECTOR.as_pointer())
+
+    def load(self, row: int, shift: Any) -> Any:
+        return self.builder.load(self._pointer(row, shift), align=4)
+
+    def store(self, row: int, vector: Any) -> None:
+        self.builder.store(vector, self._pointer(row, _INDEX(0)), align=4)
+
+
+def _splat(builder: Any, scalar: Any) -> Any:
+    """The vector with ``scalar`` in every lane."""
+    undefined = ir.Constant(_VECTOR, ir.Undefined)
+    single = builder.insert_element(undefined, scalar, ir.IntType(32)(0))
+    return builder.shuffle_vector(single, undefined, ir.Constant(ir.VectorType(ir.IntType(32), LANES), [0] * LANES))
