@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -14,6 +15,7 @@ from sqlalchemy.exc import SQLAlchemyError
 from simcore.core.errors import StoreError
 
 SCHEMA_VERSION = 1
+MAKE_ATTEMPTS = 5
 
 metadata = sa.MetaData()
 
@@ -110,10 +112,15 @@ def create_tables(engine: sa.Engine) -> None:
 
     raises: StoreError where the database was made by another version of the tables.
     """
-    try:
-        found = _make_tables(engine)
-    except SQLAlchemyError:
-        found = _make_tables(engine)  # another process made them between the look and the deed
+    for attempt in range(MAKE_ATTEMPTS):
+        try:
+            found = _make_tables(engine)
+            break
+        except SQLAlchemyError:
+            # Another process made them between the look and the deed, or is about to.
+            if attempt == MAKE_ATTEMPTS - 1:
+                raise
+            time.sleep(0.2)
     if found != SCHEMA_VERSION:
         raise StoreError(
             f"the database has tables of version {found}; this program needs version {SCHEMA_VERSION}: "

@@ -20,8 +20,11 @@ import urllib.request
 from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 from typing import IO
+
+from sqlalchemy.exc import SQLAlchemyError
 
 from simcore.core.errors import SimulationError
 from worker import broker, processes
@@ -55,6 +58,8 @@ class Child:
     command: Callable[[], list[str]]
     env: dict[str, str]
     log: Path
+    # Called when it has ended by itself, before it is started again.
+    ended: Callable[[], None] | None = None
     process: subprocess.Popen[bytes] | None = None
     ends: deque[float] = field(default_factory=lambda: deque(maxlen=MAX_RESTARTS + 1))
 
@@ -71,6 +76,8 @@ class Child:
         if len(self.ends) > MAX_RESTARTS and self.ends[-1] - self.ends[0] < RESTART_WINDOW_SECONDS:
             raise ServeError(f"the {self.name} ended {len(self.ends)} times {self.explanation(code)}")
         _say(f"the {self.name} ended (exit code {code}) and is started again; see {self.log}")
+        if self.ended is not None:
+            self.ended()
         self.start()
 
     def explanation(self, code: int | None) -> str:
@@ -162,13 +169,9 @@ def _start_all(settings: Settings, children: list[Child], signals: _Signals) -> 
     _check_port(settings)
     logs = settings.data_folder / "logs"
     logs.mkdir(exist_ok=True)
-    engine = connect(settings.resolved_database_url)
-    create_tables(engine)
-    if not settings.database_url:
-        # The folder is ours alone: whoever held a lease is gone.
-        Jobs(engine).expire_leases()
-    engine.dispose()
-
+    create_tables(connect(settings.resolved_database_url))
+    expire = partial(_expire_leases, settings)
+    expire()
     env = processes.environment(settings, TOMOSIM_BROKER_URL=settings.resolved_broker_url)
 
     def child(name: str, command: Callable[[], list[str]]) -> Child:
@@ -183,9 +186,22 @@ def _start_all(settings: Settings, children: list[Child], signals: _Signals) -> 
     if not settings.broker_url:
         server = child("broker", lambda: broker.command(settings))
         _wait(lambda: broker.answers(settings), server, signals)
-    child("worker", lambda: [sys.executable, "-m", "worker"])
+    child("worker", lambda: [sys.executable, "-m", "worker"]).ended = expire
     api = child("api", lambda: [sys.executable, "-m", "api"])
     _wait(lambda: _is_ready(settings), api, signals, children)
+
+
+def _expire_leases(settings: Settings) -> None:
+    """The cases of a worker that is gone are taken up at once, not when their leases run out."""
+    if settings.database_url:
+        return  # other machines may work for this database; ours alone is the one in our folder
+    engine = connect(settings.resolved_database_url)
+    try:
+        Jobs(engine).expire_leases()
+    except SQLAlchemyError as error:
+        _say(f"the database does not answer: {error}")
+    finally:
+        engine.dispose()
 
 
 def _wait(condition: Callable[[], bool], child: Child, signals: _Signals, others: list[Child] | None = None) -> None:

@@ -55,7 +55,7 @@ class Fleet:
         """Number of simulations by state."""
         query = sa.select(simulations.c.state, sa.func.count()).group_by(simulations.c.state)
         with reading(self.engine) as connection:
-            return dict(connection.execute(query).tuples().all())
+            return {str(state): int(number) for state, number in connection.execute(query)}
 
     def queue_age(self) -> float:
         """Seconds for which the oldest queued simulation has been there; 0 where none is queued."""

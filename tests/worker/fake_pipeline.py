@@ -77,6 +77,8 @@ def misbehave(name: str, progress: Any) -> None:
         raise KeyError("lost")
     if name == "memory":
         bytearray(1 << 50)
+    if name == "gigabyte":
+        bytearray(1_000_000_000)
     if name == "crash":
         os.kill(os.getpid(), signal.SIGSEGV)
     if name in ("slow", "forever"):

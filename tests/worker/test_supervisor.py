@@ -1,0 +1,258 @@
+"""A worker slot with a real compute process: every way a case can end, and the next one still works."""
+
+import os
+import signal
+import subprocess
+import sys
+import threading
+import time
+
+import pytest
+
+from worker.database import connect, create_tables
+from worker.jobs import Jobs
+from worker.processes import environment
+from worker.supervisor import Slot, Slots
+
+PATIENCE_SECONDS = 60
+
+
+def wait_for(condition, what="it"):
+    deadline = time.monotonic() + PATIENCE_SECONDS
+    while not (found := condition()):
+        assert time.monotonic() < deadline, f"{what} did not happen"
+        time.sleep(0.02)
+    return found
+
+
+def is_alive(pid: int) -> bool:
+    """Whether a process runs; one that has ended and was not waited for does not."""
+    try:
+        with open(f"/proc/{pid}/stat") as f:
+            return f.read().rpartition(")")[2].split()[0] not in "ZX"
+    except FileNotFoundError:
+        return False
+
+
+@pytest.fixture
+def settings(make_settings):
+    return make_settings()
+
+
+@pytest.fixture
+def jobs(settings):
+    engine = connect(settings.resolved_database_url)
+    create_tables(engine)
+    yield Jobs(engine, lease_seconds=settings.lease_seconds)
+    engine.dispose()
+
+
+@pytest.fixture
+def slot(settings, jobs):
+    made = Slot("test", settings, jobs, threading.Event())
+    yield made
+    made.kill()
+
+
+def queue(jobs, name, seed=1):
+    return jobs.create({"name": name, "seed": seed}, {"seconds": 1.0}, name).id
+
+
+def run_in_thread(slot, identifier):
+    thread = threading.Thread(target=slot.run, args=(identifier,))
+    thread.start()
+    return thread
+
+
+def running(jobs, identifier):
+    """The row of a case whose last stage is under way."""
+    return wait_for(
+        lambda: (row := jobs.get(identifier)).state == "running" and row.message.startswith("step") and row, "the start"
+    )
+
+
+def next_case_works(slot, jobs):
+    identifier = queue(jobs, "next", seed=99)
+    slot.run(identifier)
+    assert jobs.get(identifier).state == "succeeded"
+
+
+def test_a_case_succeeds_and_the_process_stays_warm(slot, jobs):
+    first = queue(jobs, "noise")
+    slot.run(first)
+    row = jobs.get(first)
+    assert (row.state, row.error) == ("succeeded", None)
+    assert (row.stage, row.stages_done, row.stages_total) == ("preview", 2, 2)
+    assert set(jobs.manifest(first)["files"]) == {"projections/0001.dcm", "volume.dcm", "preview/phantom.png"}
+    pid = slot.warm_up().pid
+    again = queue(jobs, "noise")
+    slot.run(again)
+    assert slot.warm_up().pid == pid
+    assert jobs.manifest(again)["computed_stages"] == 0
+    progress = [e.data for e in jobs.events_after(again, 0) if e.kind == "progress"]
+    assert [p["message"] for p in progress] == ["started", "from the store", "started", "from the store"]
+
+
+@pytest.mark.parametrize(
+    ("name", "kind", "code", "words"),
+    [
+        ("refuse", "simulation", "solver-failed", "did not converge"),
+        ("mistake", "system", "internal-error", "KeyError"),
+        ("memory", "system", "out-of-memory", "TOMOSIM_MEMORY_LIMIT_BYTES"),
+        ("crash", "system", "compute-crashed", "SIGSEGV"),
+    ],
+)
+def test_a_failure_is_clear_and_the_next_case_works(slot, jobs, name, kind, code, words):
+    identifier = queue(jobs, name)
+    slot.run(identifier)
+    row = jobs.get(identifier)
+    assert row.state == "failed"
+    assert (row.error["kind"], row.error["code"]) == (kind, code)
+    assert words in row.error["message"]
+    next_case_works(slot, jobs)
+
+
+def test_memory_limit_holds(make_settings, jobs):
+    """An allocation that the machine could serve but the limit forbids."""
+    slot = Slot("test", make_settings(memory_limit_bytes=400_000_000), jobs, threading.Event())
+    try:
+        identifier = queue(jobs, "gigabyte")
+        slot.run(identifier)
+        assert jobs.get(identifier).error["code"] == "out-of-memory"
+    finally:
+        slot.kill()
+
+
+def test_killed_compute_process(slot, jobs):
+    identifier = queue(jobs, "forever")
+    thread = run_in_thread(slot, identifier)
+    running(jobs, identifier)
+    os.kill(slot.warm_up().pid, signal.SIGKILL)
+    thread.join(PATIENCE_SECONDS)
+    row = jobs.get(identifier)
+    assert (row.state, row.error["code"]) == ("failed", "compute-crashed")
+    assert "SIGKILL" in row.error["message"]
+    next_case_works(slot, jobs)
+
+
+def test_killed_between_two_cases(slot, jobs):
+    next_case_works(slot, jobs)
+    process = slot.warm_up()
+    os.kill(process.pid, signal.SIGKILL)
+    wait_for(lambda: not process.alive)
+    next_case_works(slot, jobs)
+
+
+def test_cancel_kills_the_process(slot, jobs):
+    identifier = queue(jobs, "forever")
+    thread = run_in_thread(slot, identifier)
+    running(jobs, identifier)
+    pid = slot.warm_up().pid
+    jobs.cancel(identifier)
+    thread.join(PATIENCE_SECONDS)
+    assert jobs.get(identifier).state == "cancelled"
+    assert not is_alive(pid)
+    next_case_works(slot, jobs)
+
+
+def test_timeout(make_settings, jobs):
+    slot = Slot("test", make_settings(job_timeout_seconds=3.0), jobs, threading.Event())
+    try:
+        identifier = queue(jobs, "forever")
+        slot.run(identifier)
+        row = jobs.get(identifier)
+        assert (row.state, row.error["code"]) == ("failed", "timeout")
+    finally:
+        slot.kill()
+
+
+def test_stopping_gives_the_case_back(slot, jobs):
+    identifier = queue(jobs, "forever")
+    thread = run_in_thread(slot, identifier)
+    running(jobs, identifier)
+    pid = slot.warm_up().pid
+    slot.stopping.set()
+    thread.join(PATIENCE_SECONDS)
+    row = jobs.get(identifier)
+    assert (row.state, row.attempt, row.sent) == ("queued", 0, None)
+    assert not is_alive(pid)
+    jobs.mark_sent(identifier)
+    slot.run(identifier)  # a message that comes while the worker stops is not lost
+    assert (jobs.get(identifier).state, jobs.get(identifier).sent) == ("queued", None)
+
+
+def test_a_case_taken_by_another_worker_is_let_go(slot, jobs):
+    identifier = queue(jobs, "forever")
+    thread = run_in_thread(slot, identifier)
+    running(jobs, identifier)
+    jobs.expire_leases()
+    assert jobs.take_back(3) == [identifier]
+    jobs.claim(identifier, "another")
+    thread.join(PATIENCE_SECONDS)
+    assert jobs.get(identifier).owner == "another"
+    assert jobs.get(identifier).state == "running"
+
+
+def test_late_and_double_messages_do_nothing(slot, jobs):
+    identifier = queue(jobs, "fine")
+    slot.run(identifier)
+    revision = jobs.get(identifier).revision
+    slot.run(identifier)
+    slot.run("0" * 32)
+    assert jobs.get(identifier).revision == revision
+
+
+def test_a_pipeline_that_cannot_be_imported(make_settings, jobs):
+    slot = Slot("test", make_settings(pipeline="no_such_module:run"), jobs, threading.Event())
+    try:
+        identifier = queue(jobs, "fine")
+        slot.run(identifier)
+        assert "no_such_module" in jobs.get(identifier).error["message"]
+    finally:
+        slot.kill()
+
+
+def test_finished_stages_are_kept_over_a_kill(slot, jobs):
+    identifier = queue(jobs, "forever", seed=7)
+    thread = run_in_thread(slot, identifier)
+    running(jobs, identifier)
+    jobs.cancel(identifier)
+    thread.join(PATIENCE_SECONDS)
+    jobs.retry(identifier)
+    thread = run_in_thread(slot, identifier)
+    running(jobs, identifier)
+    messages = [e.data["message"] for e in jobs.events_after(identifier, 0) if e.kind == "progress"]
+    assert "from the store" in messages
+    jobs.cancel(identifier)
+    thread.join(PATIENCE_SECONDS)
+
+
+def test_two_slots_run_two_cases(make_settings, jobs):
+    slots = Slots("test", make_settings(worker_slots=2), jobs)
+    try:
+        cases = [queue(jobs, "forever", seed) for seed in (1, 2)]
+        threads = [run_in_thread(slots, c) for c in cases]
+        for c in cases:
+            running(jobs, c)
+        slots.stopping.set()
+        for t in threads:
+            t.join(PATIENCE_SECONDS)
+        assert [jobs.get(c).state for c in cases] == ["queued", "queued"]
+    finally:
+        slots.kill()
+
+
+def test_compute_process_dies_with_its_parent(make_settings):
+    code = (
+        "import sys, time; from worker.compute_process import ComputeProcess; from worker.settings import Settings\n"
+        "process = ComputeProcess(Settings.load())\n"
+        "while not process.ready: process.receive(1)\n"
+        "print(process.pid, flush=True); time.sleep(600)"
+    )
+    env = environment(make_settings())
+    parent = subprocess.Popen([sys.executable, "-c", code], env=env, stdout=subprocess.PIPE, text=True)
+    child = int(parent.stdout.readline())
+    assert is_alive(child)
+    parent.kill()
+    parent.wait()
+    wait_for(lambda: not is_alive(child), "the end of the compute process")
