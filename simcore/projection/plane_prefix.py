@@ -34,6 +34,26 @@ CODES_PER_GROUP = 4
 FAST = {"contract", "nsz", "nnan", "ninf", "arcp"}
 
 
+# Plain tuples, not named ones, for numba cannot hand these to its threads.
+
+Voxels = tuple[NDArray[np.uint8], NDArray[np.int32], NDArray[np.uint8], NDArray[np.float32]]
+"""labels (nz, ny, nx); ends (nz, ny), see ``coverage.row_ends``; codes and values, see ``_codes``."""
+
+Rows = tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]
+"""What the rays of a detector row have in common, each (rows,): bottom_y and top_y, where they enter and leave the
+volume's slices along y, in voxels; stretch, the pixel pitch on z = 0 relative to that on the detector; dy / dz."""
+
+Columns = tuple[NDArray[np.float64], float, float, float, float]
+"""Along x. At height z a ray is at the x cell source_cell + slope share(z), share(z) = (source_z - z) / source_z, with
+slope = stretch pixel_x / edge. (pixel_x (pixels,) from the source, mm; edge of a voxel, mm; source_cell; share at the
+bottom of the volume; decrease of share from slice to slice)."""
+
+Crossings = tuple[NDArray[np.uint32], NDArray[np.uint32], NDArray[np.uint32], NDArray[np.float32], NDArray[np.int32]]
+"""Where the rays of a row cross the boundaries between voxel columns, slice by slice: start (slices + 1,) of each
+slice in the three lists pixel, boundary and fraction (of the slice's height); within a slice pixels and so boundaries
+ascend. Last (pixels,): the column at the top of the volume."""
+
+
 def serves(geometry: AcquisitionGeometry, view: int) -> bool:
     """True where x falls from every pixel to the source: the source not beyond the chest-wall edge."""
     return bool(geometry.sources[view, 0] <= geometry.detector.pixel / 2)
@@ -65,14 +85,15 @@ def project_planes(
     share_bottom = (source_z - grid.corner[2]) / source_z
     share_top = (source_z - grid.upper[2]) / source_z
     virtual_y = (row_y - source_y) * stretch
-    cells_y = [(source_y - grid.corner[1] + virtual_y * share) / grid.spacing[1] for share in (share_bottom, share_top)]
-    shared = geometry.stationary or bool(np.all(stretch == stretch[0]))
-    _project(
-        labels, ends, *_codes(mu), np.ascontiguousarray(cells_y[0]), np.ascontiguousarray(cells_y[1]), stretch,
-        detector.x_centres() - source_x, (source_x - grid.corner[0]) / grid.spacing[0], grid.spacing[0],
-        share_bottom, grid.spacing[2] / source_z, virtual_y, source_z, grid.spacing[2], shared,
-        spread(-(-detector.ny // (ROWS_PER_TILE if shared else 1))), out,
-    )  # fmt: skip
+    bottom_y = (source_y - grid.corner[1] + virtual_y * share_bottom) / grid.spacing[1]
+    top_y = (source_y - grid.corner[1] + virtual_y * share_top) / grid.spacing[1]
+    rows = (bottom_y, top_y, stretch, virtual_y / source_z)
+    source_cell = (source_x - grid.corner[0]) / grid.spacing[0]
+    pixel_x = detector.x_centres() - source_x
+    columns = (pixel_x, grid.spacing[0], source_cell, share_bottom, grid.spacing[2] / source_z)
+    tile_rows = ROWS_PER_TILE if np.all(stretch == stretch[0]) else 1
+    order = spread(-(-detector.ny // tile_rows))
+    _project((labels, ends, *_codes(mu)), rows, columns, tile_rows, order, source_z, grid.spacing[2], out)
 
 
 def _codes(mu: NDArray[np.float64]) -> tuple[NDArray[np.uint8], NDArray[np.float32]]:
@@ -87,71 +108,42 @@ def _codes(mu: NDArray[np.float64]) -> tuple[NDArray[np.uint8], NDArray[np.float
 
 @numba.njit(parallel=True, cache=True, fastmath=FAST, error_model="numpy")
 def _project(
-    labels: NDArray[np.uint8],
-    ends: NDArray[np.int32],
-    codes: NDArray[np.uint8],
-    values: NDArray[np.float32],
-    bottom_y: NDArray[np.float64],
-    top_y: NDArray[np.float64],
-    stretch: NDArray[np.float64],
-    pixel_x: NDArray[np.float64],
-    source_cell: float,
-    edge_x: float,
-    share_bottom: float,
-    share_step: float,
-    virtual_y: NDArray[np.float64],
+    voxels: Voxels,
+    rows: Rows,
+    columns: Columns,
+    tile_rows: int,
+    order: NDArray[np.int64],
     source_z: float,
     edge_z: float,
-    shared: bool,
-    order: NDArray[np.int64],
     out: NDArray[np.float32],
 ) -> None:
-    nz = labels.shape[0]
-    rows = len(bottom_y)
-    tile_rows = ROWS_PER_TILE if shared else 1
-    columns = ends.max() if ends.size > 0 else 0
-    slopes = pixel_x * (stretch[0] / edge_x)
-    start, pixel, boundary, fraction, last = _crossings(
-        slopes, source_cell, share_bottom, share_step, nz, columns if shared else -1
-    )
+    """Tiles of ``tile_rows`` rows share a table of crossings and the conversion of labels; 1: each row has its own."""
+    labels, ends, _, _ = voxels
+    stretch = rows[2]
+    tangent_x = columns[0] / source_z
+    squared = (tangent_x * tangent_x).astype(np.float32)
+    shared = _crossings(columns, stretch[0], labels.shape[0], ends.max() if tile_rows > 1 else -1)
     for task in numba.prange(len(order)):
         first_row = order[task] * tile_rows
-        last_row = min(first_row + tile_rows, rows)
+        last_row = min(first_row + tile_rows, len(stretch))
         out[first_row:last_row] = np.float32(0.0)
-        reach = _reach(ends, bottom_y, top_y, first_row, last_row)
-        if reach == 0:
-            continue
-        prefix = np.zeros((last_row - first_row, reach + 1), np.float32)
-        if shared:
-            _run_tile(
-                labels, ends, codes, values, bottom_y, top_y, first_row, last_row, reach,
-                start, pixel, boundary, fraction, prefix, out,
-            )  # fmt: skip
-            _finish(prefix, last, pixel_x, stretch, virtual_y, source_z, edge_z, first_row, out)
-        else:
-            row_slopes = pixel_x * (stretch[first_row] / edge_x)
-            own = _crossings(row_slopes, source_cell, share_bottom, share_step, nz, reach)
-            _run_tile(
-                labels, ends, codes, values, bottom_y, top_y, first_row, last_row, reach,
-                own[0], own[1], own[2], own[3], prefix, out,
-            )  # fmt: skip
-            _finish(prefix, own[4], pixel_x, stretch, virtual_y, source_z, edge_z, first_row, out)
+        reach = _reach(ends, rows, first_row, last_row)
+        if reach > 0:
+            prefix = np.zeros((last_row - first_row, reach + 1), np.float32)
+            if tile_rows > 1:
+                _run_tile(voxels, rows, shared, first_row, last_row, prefix, out)
+                _finish(prefix, rows, shared, squared, edge_z, first_row, out)
+            else:
+                own = _crossings(columns, stretch[first_row], labels.shape[0], reach)
+                _run_tile(voxels, rows, own, first_row, last_row, prefix, out)
+                _finish(prefix, rows, own, squared, edge_z, first_row, out)
 
 
 @numba.njit(cache=True, error_model="numpy")
-def _crossings(
-    slopes: NDArray[np.float64],
-    source_cell: float,
-    share_bottom: float,
-    share_step: float,
-    slices: int,
-    boundaries: int,
-) -> tuple[NDArray[np.uint32], NDArray[np.uint32], NDArray[np.uint32], NDArray[np.float32], NDArray[np.int32]]:
-    """Where the rays of a row cross the column boundaries x = b, b = 0..``boundaries``, slice by slice.
-
-    returns: start (slices + 1,) of each slice in the three lists pixel, boundary, fraction of the slice's height;
-             within a slice pixels and so boundaries ascend; last (pixels,): the column at the top of the volume.
-    """
+def _crossings(columns: Columns, stretch: float, slices: int, boundaries: int) -> Crossings:
+    """The crossings of the boundaries 0..``boundaries`` by the rays of a row with the pitch ``stretch``."""
+    pixel_x, edge, source_cell, share_bottom, share_step = columns
+    slopes = pixel_x * (stretch / edge)
     pixels = len(slopes)
     start = np.zeros(slices + 1, np.uint32)
     last = np.full(pixels, -1, np.int32)
@@ -172,9 +164,10 @@ def _crossings(
         for v in range(pixels):
             bottom = source_cell + slopes[v] * share_bottom
             top = source_cell + slopes[v] * (share_bottom - slices * share_step)
+            slices_per_column = 1.0 / (slopes[v] * share_step)
             lowest = -1
             for b in range(max(0, math.ceil(top)), min(boundaries, math.floor(bottom)) + 1):
-                height = (share_bottom - (b - source_cell) / slopes[v]) / share_step
+                height = (bottom - b) * slices_per_column
                 if height >= slices:
                     continue
                 if lowest < 0:
@@ -194,10 +187,9 @@ def _crossings(
 
 
 @numba.njit(cache=True)
-def _reach(
-    ends: NDArray[np.int32], bottom_y: NDArray[np.float64], top_y: NDArray[np.float64], first: int, last: int
-) -> int:
+def _reach(ends: NDArray[np.int32], rows: Rows, first: int, last: int) -> int:
     """Largest x end of the voxel rows that these detector rows can meet."""
+    bottom_y, top_y, _, _ = rows
     nz, ny = ends.shape
     low = min(min(bottom_y[first], bottom_y[last - 1]), min(top_y[first], top_y[last - 1]))
     high = max(max(bottom_y[first], bottom_y[last - 1]), max(top_y[first], top_y[last - 1]))
@@ -210,23 +202,19 @@ def _reach(
 
 @numba.njit(cache=True, fastmath=FAST, error_model="numpy")
 def _run_tile(
-    labels: NDArray[np.uint8],
-    ends: NDArray[np.int32],
-    codes: NDArray[np.uint8],
-    values: NDArray[np.float32],
-    bottom_y: NDArray[np.float64],
-    top_y: NDArray[np.float64],
+    voxels: Voxels,
+    rows: Rows,
+    crossings: Crossings,
     first_row: int,
     last_row: int,
-    reach: int,
-    start: NDArray[np.uint32],
-    pixel: NDArray[np.uint32],
-    boundary: NDArray[np.uint32],
-    fraction: NDArray[np.float32],
     prefix: NDArray[np.float32],
     out: NDArray[np.float32],
 ) -> None:
     """Subtract E_b(z_b) of every crossing from out; leave E at the top of the volume in ``prefix``."""
+    labels, ends, codes, values = voxels
+    start, pixel, boundary, fraction, _ = crossings
+    bottom_y, top_y, _, _ = rows
+    reach = prefix.shape[1] - 1
     nz, ny, _ = labels.shape
     cache = np.zeros((COLUMN_CACHE, reach + 1), np.float32)
     held = np.full(COLUMN_CACHE, -1, np.int64)
@@ -375,16 +363,18 @@ def _cross_part(
 @numba.njit(cache=True, fastmath=FAST, error_model="numpy")
 def _finish(
     prefix: NDArray[np.float32],
-    last: NDArray[np.int32],
-    pixel_x: NDArray[np.float64],
-    stretch: NDArray[np.float64],
-    virtual_y: NDArray[np.float64],
-    source_z: float,
+    rows: Rows,
+    crossings: Crossings,
+    squared: NDArray[np.float32],
     edge_z: float,
     first_row: int,
     out: NDArray[np.float32],
 ) -> None:
-    """Add T at the top of the volume and multiply with the length of the ray in one slice."""
+    """Add T at the top of the volume and multiply with the length of the ray in one slice.
+
+    squared: (pixels,), (dx / dz)^2 for a stretch of 1."""
+    _, _, stretch, tangent_y = rows
+    last = crossings[4]
     reach = prefix.shape[1] - 1
     top = np.empty(reach + 1, np.float32)
     for local in range(prefix.shape[0]):
@@ -394,11 +384,13 @@ def _finish(
         for b in range(reach, -1, -1):
             total += prefix[local, b]
             top[b] = total
-        tangent_y = virtual_y[row] / source_z
-        for v in range(len(last)):
-            value = out[row, v]
-            if 0 <= last[v] < reach:
-                value += top[last[v] + 1]
-            tangent_x = pixel_x[v] * stretch[row] / source_z
-            length = edge_z * math.sqrt(1.0 + tangent_x * tangent_x + tangent_y * tangent_y)
-            out[row, v] = value * np.float32(length)
+        # Columns at the top ascend with the pixel: from here on the rays pass beyond the tissue.
+        pixels = np.searchsorted(last, reach)
+        for v in range(pixels):
+            if last[v] >= 0:
+                out[row, v] += top[last[v] + 1]
+        constant = np.float32(1.0 + tangent_y[row] ** 2)
+        factor = np.float32(stretch[row] ** 2)
+        edge = np.float32(edge_z)
+        for v in range(pixels):
+            out[row, v] *= edge * math.sqrt(constant + factor * squared[v])

@@ -18,7 +18,7 @@ def deform(
     returns: labels with the same voxel edges in the support frame: z = 0 is the lower plate, x = 0 the chest wall,
         y centred, the top the upper plate. Entries of ``truth`` with "centre_mm" have it carried along.
         report: volume_before_ml, volume_after_ml, tissue_before_ml and tissue_after_ml {name: ml}, mesh_volume_ml
-        (deformed), skirt_ml (taken from outside the mesh), holes (lone air voxels within rows of tissue), grid.
+        (deformed), skirt_ml (taken from outside the mesh), holes (air voxels with tissue on all six sides), grid.
     raises: SolverError (code "inverted-element") where the displacement turns a tetrahedron inside out.
     """
     # Here and not above: the specification is read where nothing may load compiled code.

@@ -21,17 +21,19 @@ FLAT = 1e-11
 """A weight that changes less than this from voxel to voxel along x counts as constant along x."""
 
 
-def rasterise(pieces: Pieces, maps: TetMaps, source: NDArray[np.uint8], out: NDArray[np.uint8]) -> None:
-    """Write the labels of all pieces into out, uint8 (nz, ny, nx).
+def rasterise(pieces: Pieces, maps: TetMaps, source: NDArray[np.uint8], out: NDArray[np.uint8]) -> int:
+    """Write the labels of all pieces into out, uint8 (nz, ny, nx); the number of air voxels that became tissue, for
+    pieces with a face ``outside``.
 
     Pieces with a face ``outside`` write only where out is still air. Labels outside of ``source`` are air, but those
     below x = 0 are those of its first layer.
     """
     start, order = _slabs(pieces.bounds, -(-out.shape[1] // SLAB_ROWS))
-    _rasterise(
+    written = _rasterise(
         start, order, pieces.tet, pieces.slack, pieces.outside, pieces.bounds,
         maps.barycentric, maps.origin, source, out,
     )  # fmt: skip
+    return int(written)
 
 
 @numba.njit(cache=True)
@@ -65,8 +67,9 @@ def _rasterise(
     origin: NDArray[np.float64],
     source: NDArray[np.uint8],
     out: NDArray[np.uint8],
-) -> None:
+) -> int:
     slabs = len(start) - 1
+    written = np.zeros(slabs, np.int64)
     # Slabs 0, 7, 14, .. come first: consecutive ones, which are all thick or all thin, go to different threads.
     stride = 7 if slabs % 7 else 5 if slabs % 5 else 1
     for task in numba.prange(slabs):
@@ -81,7 +84,8 @@ def _rasterise(
                 for j in range(j_first, j_last + 1):
                     low, high = _interval(weight, slack[p], outside[p], j, k, bounds[p, 0, 0], bounds[p, 1, 0])
                     if low <= high:
-                        _fill(source, place, low, high, j, k, outside[p] >= 0, out)
+                        written[slab] += _fill(source, place, low, high, j, k, outside[p] >= 0, out)
+    return int(written.sum())
 
 
 @numba.njit(cache=True, error_model="numpy")
@@ -121,8 +125,8 @@ def _fill(
     k: int,
     only_air: bool,
     out: NDArray[np.uint8],
-) -> None:
-    """Labels of the voxels first..last of row (j, k)."""
+) -> int:
+    """Labels of the voxels first..last of row (j, k). With ``only_air``: the number that became tissue."""
     nz, ny, nx = source.shape
     x = place[0, 0] + place[0, 1] * first + place[0, 2] * j + place[0, 3] * k
     y = place[1, 0] + place[1, 1] * first + place[1, 2] * j + place[1, 3] * k
@@ -136,7 +140,8 @@ def _fill(
             row[np.uint64(first + step)] = source[
                 np.uint64(z + step * dz), np.uint64(y + step * dy), np.uint64(x + step * dx)
             ]
-        return
+        return 0
+    written = 0
     for step in range(steps + 1):
         i = first + step
         if only_air and row[i] != 0:
@@ -146,8 +151,10 @@ def _fill(
         at_z = math.floor(z + step * dz)
         if at_x < nx and 0 <= at_y < ny and 0 <= at_z < nz:
             row[i] = source[at_z, at_y, at_x]
+            written += only_air and row[i] != 0
         elif not only_air:
             row[i] = 0
+    return written
 
 
 @numba.njit(cache=True)
@@ -158,7 +165,7 @@ def _spans(start: float, change: float, size: int) -> bool:
 
 @numba.njit(parallel=True, cache=True)
 def census(labels: NDArray[np.uint8]) -> tuple[NDArray[np.int64], int]:
-    """(voxels of every label (MAX_TISSUES,), air voxels with tissue on both sides along x)."""
+    """(voxels of every label (MAX_TISSUES,), air voxels with tissue on all six sides)."""
     nz, ny, nx = labels.shape
     counts = np.zeros((nz, MAX_TISSUES), np.int64)
     holes = np.zeros(nz, np.int64)
@@ -172,10 +179,20 @@ def census(labels: NDArray[np.uint8]) -> tuple[NDArray[np.int64], int]:
                 second[row[i + 1]] += 1
             if nx % 2:
                 first[row[nx - 1]] += 1
-            lone = 0
-            for i in range(1, nx - 1):
-                lone += (row[i] == 0) & (row[i - 1] != 0) & (row[i + 1] != 0)
-            holes[k] += lone
+            if 0 < k < nz - 1 and 0 < j < ny - 1:
+                holes[k] += _holes(labels, k, j)
         for label in range(MAX_TISSUES):
             counts[k, label] = first[label] + second[label]
     return counts.sum(axis=0), holes.sum()
+
+
+@numba.njit(cache=True)
+def _holes(labels: NDArray[np.uint8], k: int, j: int) -> int:
+    """Holes of one voxel in an inner row."""
+    row, nearer, farther = labels[k, j], labels[k, j - 1], labels[k, j + 1]
+    below, above = labels[k - 1, j], labels[k + 1, j]
+    found = 0
+    for i in range(1, len(row) - 1):
+        lone = (row[i] == 0) & (row[i - 1] != 0) & (row[i + 1] != 0) & (below[i] != 0) & (above[i] != 0)
+        found += lone & (nearer[i] != 0) & (farther[i] != 0)
+    return found

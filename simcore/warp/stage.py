@@ -31,12 +31,11 @@ def deform_phantom(
     labels = np.zeros(grid.shape, np.uint8)
     progress(0.2, "looking up labels")
     rasterise(interior(maps, grid, levels), maps, phantom.labels, labels)
-    counts, holes = census(labels)
-    within = int(counts[1:].sum())
+    added = 0
     if spec.skirt_mm > 0:
         progress(0.8, "skin outside the mesh")
-        rasterise(skirt(mesh, maps, grid, spec.skirt_mm, levels), maps, phantom.labels, labels)
-        counts, holes = census(labels)
+        added = rasterise(skirt(mesh, maps, grid, spec.skirt_mm, levels), maps, phantom.labels, labels)
+    counts, holes = census(labels)
     before, _ = census(phantom.labels)
     progress(1.0, f"{int(counts[1:].sum())} voxels of tissue")
     voxel_ml = grid.voxel_volume * 1e-3
@@ -50,7 +49,7 @@ def deform_phantom(
             "tissue_before_ml": _by_name(before, phantom.grid.voxel_volume * 1e-3),
             "tissue_after_ml": _by_name(counts, voxel_ml),
             "mesh_volume_ml": float(np.sum(1.0 / np.abs(np.linalg.det(maps.barycentric[:, 1:, 1:])))) / 6 * voxel_ml,
-            "skirt_ml": (int(counts[1:].sum()) - within) * voxel_ml,
+            "skirt_ml": int(added) * voxel_ml,
             "holes": int(holes),
             "grid": grid.to_dict(),
         },
