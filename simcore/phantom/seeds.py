@@ -115,7 +115,11 @@ def plant(
         volume = mean * shrunk / shrunk.mean() * np.exp(random.normal(0.0, 0.3, number))
         radius = np.cbrt(volume * 3 / (4 * math.pi))
         candidates, half_thickness = _candidates(kind, number, mean, axes, border, random)
-        chosen = _farthest(candidates, radius, placed, placed_radius)
+        # Small compartments keep away from one another nearly as if they alone filled the interior, so that no
+        # part of it goes without.
+        alone = np.cbrt(3 / (4 * math.pi) * regions[kind] / max(1, is_small.sum()))
+        apart = np.where(is_small, 0.8 * alone, radius)
+        chosen = _farthest(candidates, radius, apart, is_small, placed, placed_radius)
         placed, placed_radius = np.concatenate([placed, chosen]), np.concatenate([placed_radius, radius])
         normal = np.tile([1.0, 0.0, 0.0], (number, 1)) if kind is Region.RETROMAMMARY else _normal(axes, chosen)
         centres.append(chosen)
@@ -215,10 +219,21 @@ def _interior_points(number: int, mean: float, axes: SemiAxes, border: Layers, r
     return found[:number]
 
 
+@njit(cache=True, inline="always")  # type: ignore[misc]
+def _squared_distance(p: Float64, q: Float64) -> float:
+    return float((p[0] - q[0]) ** 2 + (p[1] - q[1]) ** 2 + (p[2] - q[2]) ** 2)
+
+
 @njit(cache=True)  # type: ignore[misc]
-def _farthest(candidates: Float64, radius: Float64, placed: Float64, placed_radius: Float64) -> Float64:
-    """One place (n, 3) per seed out of ``candidates`` (n, m, 3): the one farthest from its nearest neighbour, in units
-    of the sum of both radii."""
+def _farthest(
+    candidates: Float64, radius: Float64, apart: Float64, small: NDArray[np.bool_], placed: Float64,
+    placed_radius: Float64,
+) -> Float64:  # fmt: skip
+    """One place (n, 3) per seed out of ``candidates`` (n, m, 3): the one farthest from its nearest neighbour.
+
+    Distances count in units of the sum of both radii; between two small seeds, of both ``apart``.
+    placed, placed_radius: seeds of other regions that already stand.
+    """
     n, m, _ = candidates.shape
     chosen = np.empty((n, 3))
     for s in range(n):
@@ -226,15 +241,12 @@ def _farthest(candidates: Float64, radius: Float64, placed: Float64, placed_radi
         for c in range(m):
             nearest = 1e30
             for p in range(len(placed)):
-                gap = 0.0
-                for axis in range(3):
-                    gap += (candidates[s, c, axis] - placed[p, axis]) ** 2
+                gap = _squared_distance(candidates[s, c], placed[p])
                 nearest = min(nearest, gap / (radius[s] + placed_radius[p]) ** 2)
             for p in range(s):
-                gap = 0.0
-                for axis in range(3):
-                    gap += (candidates[s, c, axis] - chosen[p, axis]) ** 2
-                nearest = min(nearest, gap / (radius[s] + radius[p]) ** 2)
+                gap = _squared_distance(candidates[s, c], chosen[p])
+                reach = apart[s] + apart[p] if small[s] and small[p] else radius[s] + radius[p]
+                nearest = min(nearest, gap / reach**2)
             if nearest > best:
                 best = nearest
                 chosen[s] = candidates[s, c]
