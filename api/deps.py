@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import dataclass
 from typing import Annotated
 
@@ -12,7 +13,7 @@ from simcore.core.store import Store
 from simcore.spec import SimulationSpec
 from worker.database import connect, create_tables
 from worker.fleet import Fleet
-from worker.jobs import Jobs
+from worker.jobs import Jobs, NotFoundError
 from worker.messages import CeleryMessenger, Messenger
 from worker.settings import Settings
 
@@ -51,6 +52,16 @@ def services(request: Request) -> Services:
 
 
 Served = Annotated[Services, Depends(services)]
+
+
+def _identifier(identifier: str) -> str:
+    if not re.fullmatch("[0-9a-f]{32}", identifier):
+        raise NotFoundError(identifier)  # not even asked for: databases differ in which characters they take
+    return identifier
+
+
+Identifier = Annotated[str, Depends(_identifier)]
+"""A path parameter of the form that identifiers have; anything else is not found."""
 
 
 async def _posted_specification(request: Request) -> SimulationSpec:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import math
 from collections.abc import Mapping
 from http import HTTPStatus
 from typing import Any
@@ -20,6 +21,9 @@ from worker.jobs import NotFoundError
 log = logging.getLogger(__name__)
 
 METHODS = ("GET", "HEAD", "POST", "PUT", "PATCH", "DELETE")
+
+MAX_SHOWN = 200
+"""Characters of a refused value that are repeated in an answer."""
 
 _CODES = {404: "not-found", 405: "method-not-allowed", 413: "too-large", 415: "unsupported-media-type"}
 
@@ -96,7 +100,14 @@ def _problem_item(problem: dict[str, Any]) -> dict[str, Any]:
     field = str(problem["field"])
     # Field names have neither "/" nor "~", so nothing has to be escaped. The whole document is "".
     pointer = "" if field.startswith("(") else "/" + field.replace(".", "/")
-    return {"pointer": pointer, "value": problem.get("value"), "detail": problem["message"]}
+    return {"pointer": pointer, "value": _shown(problem.get("value")), "detail": problem["message"]}
+
+
+def _shown(value: Any) -> Any:
+    """A refused value as JSON can say it, and not too long."""
+    if isinstance(value, float) and not math.isfinite(value):
+        return str(value)
+    return value[:MAX_SHOWN] if isinstance(value, str) else value
 
 
 def allowed_methods(request: Request) -> list[str]:
@@ -118,7 +129,7 @@ def install(app: FastAPI) -> None:
 
     @app.exception_handler(NotFoundError)
     async def _not_found(request: Request, error: NotFoundError) -> Response:
-        answer = ApiError(404, "simulation-not-found", f"there is no simulation {error}")
+        answer = ApiError(404, "simulation-not-found", f"there is no simulation {str(error)[:MAX_SHOWN]}")
         return problem_response(request.url.path, answer)
 
     @app.exception_handler(SimulationError)
@@ -140,7 +151,7 @@ def install(app: FastAPI) -> None:
     @app.exception_handler(RequestValidationError)
     async def _invalid(request: Request, error: RequestValidationError) -> Response:
         items = [
-            {"parameter": str(item["loc"][-1]), "value": item.get("input"), "detail": item["msg"]}
+            {"parameter": str(item["loc"][-1]), "value": _shown(item.get("input")), "detail": item["msg"]}
             for item in error.errors()
         ]
         detail = "; ".join(f"{item['parameter']} = {item['value']!r}: {item['detail']}" for item in items)

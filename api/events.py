@@ -12,7 +12,7 @@ from fastapi import APIRouter, Header
 from fastapi.concurrency import run_in_threadpool
 from fastapi.responses import StreamingResponse
 
-from api.deps import Served
+from api.deps import Identifier, Served
 from api.errors import ApiError
 from api.resources import simulation_path
 from worker.contract import EVENT_STATE, FINAL_STATES
@@ -31,7 +31,7 @@ router = APIRouter(prefix="/simulations", tags=["simulations"])
     responses={200: {"content": {"text/event-stream": {}}}, 400: {"description": "bad-event-id"}},
 )
 def events(
-    identifier: str,
+    identifier: Identifier,
     served: Served,
     last_event_id: Annotated[str | None, Header(description="the last event seen; a number")] = None,
 ) -> StreamingResponse:

@@ -9,7 +9,7 @@ from fastapi import APIRouter, Header, Query, Request, Response
 
 from api import pages
 from api.conditions import none_match
-from api.deps import PostedSpecification, Served, Services
+from api.deps import Identifier, PostedSpecification, Served, Services
 from api.errors import ApiError
 from api.resources import SimulationPage, SimulationResource, simulation_path, simulation_resource
 from simcore import estimate
@@ -41,7 +41,7 @@ def create(
     needs = _check(specification, served)
     served.store.require_space(needs.storage_bytes)
     data = specification.model_dump(mode="json")
-    row = served.jobs.create(data, needs.model_dump(mode="json"), specification.name)
+    row = served.jobs.create(data, needs.model_dump(mode="json"), specification.name.replace("\0", ""))
     _send(served, row)
     response.headers.update({"Location": str(request.base_url).rstrip("/") + simulation_path(row.id), **RETRY_AFTER})
     return simulation_resource(row, data)
@@ -75,7 +75,7 @@ def list_simulations(
 
 @router.get("/{identifier}", responses={304: {"description": "not changed"}})
 def get_simulation(
-    identifier: str,
+    identifier: Identifier,
     served: Served,
     response: Response,
     if_none_match: Annotated[str | None, Header()] = None,
@@ -92,7 +92,7 @@ def get_simulation(
 
 
 @router.post("/{identifier}/cancel", status_code=202)
-def cancel(identifier: str, served: Served, response: Response) -> SimulationResource:
+def cancel(identifier: Identifier, served: Served, response: Response) -> SimulationResource:
     """Stops a case: at once where it is queued, within a second or so where it runs."""
     try:
         row = served.jobs.cancel(identifier)
@@ -106,7 +106,7 @@ def cancel(identifier: str, served: Served, response: Response) -> SimulationRes
 
 
 @router.post("/{identifier}/retry", status_code=202)
-def retry(identifier: str, served: Served, request: Request, response: Response) -> SimulationResource:
+def retry(identifier: Identifier, served: Served, request: Request, response: Response) -> SimulationResource:
     """Queues a failed or cancelled case again; stages that finished are not computed again."""
     try:
         row = served.jobs.retry(identifier)
@@ -121,7 +121,7 @@ def retry(identifier: str, served: Served, request: Request, response: Response)
 
 
 @router.delete("/{identifier}", status_code=204)
-def delete(identifier: str, served: Served) -> None:
+def delete(identifier: Identifier, served: Served) -> None:
     """Forgets a finished case. Stored stages stay: other cases may use them."""
     try:
         served.jobs.delete(identifier)

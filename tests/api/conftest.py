@@ -1,0 +1,112 @@
+"""The API in this process, with a fake broker; cases are ended by hand or by the fake pipeline."""
+
+import importlib.util
+import os
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import pytest
+from fastapi.testclient import TestClient
+
+from api.app import create_app
+from api.deps import Services
+from simcore.spec import SimulationSpec
+from worker.settings import Settings
+
+URL = "http://127.0.0.1"
+FAKE_PIPELINE = Path(__file__).parent.parent / "worker" / "fake_pipeline.py"
+
+
+class FakeBroker:
+    """Remembers messages; answers unless it is down."""
+
+    def __init__(self) -> None:
+        self.messages: list[tuple[str, str]] = []
+        self.down = False
+
+    def send(self, identifier: str, queue: str = "interactive") -> None:
+        self.ping()
+        self.messages.append((identifier, queue))
+
+    def waiting(self) -> int:
+        return len(self.messages)
+
+    def ping(self) -> None:
+        if self.down:
+            raise ConnectionError("connection refused")
+
+
+@pytest.fixture
+def broker() -> FakeBroker:
+    return FakeBroker()
+
+
+@pytest.fixture
+def settings(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Settings:
+    for name in [n for n in os.environ if n.startswith("TOMOSIM_")]:
+        monkeypatch.delenv(name)
+    return Settings.load(data_folder=tmp_path / "data", memory_limit_bytes=8_000_000_000)
+
+
+@pytest.fixture
+def client(settings: Settings, broker: FakeBroker) -> Iterator[TestClient]:
+    with TestClient(create_app(settings, broker, sweep=False), base_url=URL) as made:
+        yield made
+
+
+@pytest.fixture
+def served(client: TestClient) -> Services:
+    return client.app.state.services
+
+
+@pytest.fixture
+def post(client: TestClient) -> Callable[..., dict]:
+    """Posts a specification and returns the resource."""
+
+    def make(**specification: object) -> dict:
+        response = client.post("/v1/simulations", json=specification)
+        assert response.status_code == 202, response.text
+        return response.json()
+
+    return make
+
+
+@pytest.fixture
+def finish(served: Services) -> Callable[[str], None]:
+    """Runs a queued case with the fake pipeline, here."""
+    spec = importlib.util.spec_from_file_location("fake_pipeline_of_api", FAKE_PIPELINE)
+    fake = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(fake)
+
+    def run(identifier: str) -> None:
+        assert served.jobs.claim(identifier, "test")
+        specification = SimulationSpec.from_dict(served.jobs.specification(identifier))
+        result = fake.run(specification, served.store, lambda *a, **k: None)
+        assert served.jobs.succeed(identifier, "test", result.manifest)
+
+    return run
+
+
+@pytest.fixture
+def done(post: Callable[..., dict], finish: Callable[[str], None]) -> str:
+    """The path of a case that succeeded."""
+    case = post(name="fine", seed=3)
+    finish(case["id"])
+    return case["links"]["self"]
+
+
+def is_problem(response, status: int, code: str) -> dict:
+    """Asserts that an answer is a problem document; returns it."""
+    assert response.status_code == status, response.text
+    assert response.headers["content-type"] == "application/problem+json"
+    body = response.json()
+    assert body["code"] == code
+    assert body["status"] == status
+    assert {"type", "title", "detail"} <= set(body)
+    assert body["instance"] == response.request.url.path
+    return body
+
+
+@pytest.fixture(name="is_problem")
+def is_problem_fixture() -> Callable[..., dict]:
+    return is_problem

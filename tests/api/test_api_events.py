@@ -1,0 +1,86 @@
+"""Server-sent events: everything once, in order, from where the client left off."""
+
+import json
+import threading
+
+import pytest
+
+from worker.jobs import StageProgress
+
+
+def parse(text):
+    """[(id, event, data)] of a stream."""
+    found = []
+    for block in text.split("\n\n"):
+        fields = dict(line.split(": ", 1) for line in block.splitlines() if not line.startswith(":"))
+        if "data" in fields:
+            found.append((int(fields["id"]), fields["event"], json.loads(fields["data"])))
+    return found
+
+
+@pytest.fixture
+def case(post, served):
+    made = post()
+    served.jobs.claim(made["id"], "test")
+    served.jobs.progress(made["id"], "test", StageProgress("mesh", 1, 8, 0.5, "half"))
+    served.jobs.fail(made["id"], "test", {"kind": "system", "code": "timeout", "message": "too long"})
+    return made
+
+
+def test_the_whole_story(client, case):
+    response = client.get(case["links"]["events"])
+    assert response.headers["content-type"].startswith("text/event-stream")
+    assert response.text.startswith("retry: ")
+    events = parse(response.text)
+    assert [(i, kind) for i, kind, _ in events] == [(1, "state"), (2, "state"), (3, "progress"), (4, "state")]
+    assert events[2][2]["stage"] == "mesh"
+    assert (events[3][2]["state"], events[3][2]["error"]["code"]) == ("failed", "timeout")
+    assert [data["at"] for *_, data in events] == sorted(data["at"] for *_, data in events)
+
+
+@pytest.mark.parametrize(("seen", "expected"), [("0", [1, 2, 3, 4]), ("2", [3, 4]), ("4", []), ("99", [])])
+def test_resume(client, case, seen, expected):
+    response = client.get(case["links"]["events"], headers={"Last-Event-ID": seen})
+    assert [i for i, *_ in parse(response.text)] == expected
+
+
+@pytest.mark.parametrize("seen", ["-1", "x", "1.5", "9" * 40, "0x1"])
+def test_nonsense(client, case, is_problem, seen):
+    is_problem(client.get(case["links"]["events"], headers={"Last-Event-ID": seen}), 400, "bad-event-id")
+
+
+def test_a_live_stream_ends_with_the_case(client, post, served, monkeypatch):
+    monkeypatch.setattr("api.events.POLL_SECONDS", 0.02)
+    monkeypatch.setattr("api.events.HEARTBEAT_SECONDS", 0.05)
+    made = post()
+    thread = threading.Timer(0.5, lambda: served.jobs.cancel(made["id"]))
+    thread.start()
+    text = client.get(made["links"]["events"]).text
+    thread.join()
+    assert [data["state"] for *_, data in parse(text)] == ["queued", "cancelled"]
+    assert ": still here" in text
+
+
+def test_a_retried_case_goes_on(client, case, served, monkeypatch):
+    monkeypatch.setattr("api.events.POLL_SECONDS", 0.02)
+    served.jobs.retry(case["id"])
+    thread = threading.Timer(0.3, lambda: served.jobs.cancel(case["id"]))
+    thread.start()
+    events = parse(client.get(case["links"]["events"], headers={"Last-Event-ID": "3"}).text)
+    thread.join()
+    assert [data["state"] for *_, data in events] == ["failed", "queued", "cancelled"]
+
+
+def test_forgotten_while_watched(client, post, served, monkeypatch):
+    monkeypatch.setattr("api.events.POLL_SECONDS", 0.02)
+    made = post()
+
+    def forget():
+        served.jobs.cancel(made["id"])
+        served.jobs.delete(made["id"])
+
+    thread = threading.Timer(0.3, forget)
+    thread.start()
+    text = client.get(made["links"]["events"]).text
+    thread.join()
+    assert parse(text)[0][2]["state"] == "queued"
