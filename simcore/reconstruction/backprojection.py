@@ -135,7 +135,7 @@ def _backproject_rows(
                         first, second, lower, upper = row_weights(position, detector_rows)
                         lower, upper = np.float32(lower * weight[z, k]), np.float32(upper * weight[z, k])
                         add_two_rows(view[first], view[second], lower, upper, row)
-                add_resampled_rows(summed, pad, column_offset[z, group], column_step[z, group], attenuation)
+                add_resampled_rows(summed, pad, column_offset[z, group], column_step[z, group], 1.0, attenuation)
             for r in range(count):
                 below, above = _quantise(attenuation[r, :nx], scale, shift, out[z, y0 + r])
                 low += below

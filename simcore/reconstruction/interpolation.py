@@ -1,6 +1,6 @@
-"""Interpolation between image rows, and the transpose of the interpolation along a row.
+"""Interpolation between image rows. Rows beyond an image count as zero.
 
-Everything outside a row or an array counts as zero. The source and the detector's x axis are parallel to the slices in
+The source and the detector's x axis are parallel to the slices in
 every view, so a row of voxels and a row of pixels see one another with one pair of row weights, and positions along
 x are the same for all rows of a slice.
 """
@@ -39,21 +39,3 @@ def add_two_rows(
     """total += lower first + upper second; all (n,)"""
     for i in range(len(total)):
         total[i] += lower * first[i] + upper * second[i]
-
-
-@njit(cache=True, error_model="numpy")
-def scatter_resampled(values: FloatArray, offset: float, step: float, row: FloatArray) -> None:
-    """The transpose of ``lanes.add_resampled_rows`` for one row: row += values, each spread over the two entries that
-    it would be read from.
-
-    offset, step: position of the first of ``values`` and distance of the next, in entries of ``row``.
-    """
-    last = len(row) - 1
-    for i in range(len(values)):
-        position = offset + i * step
-        left = int(np.floor(position))
-        right = np.float32(position - left) * values[i]
-        if 0 <= left <= last:
-            row[left] += values[i] - right
-        if -1 <= left < last:
-            row[left + 1] += right

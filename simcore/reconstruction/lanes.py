@@ -3,11 +3,13 @@
 Sixteen neighbouring positions with a step near one pixel read a window of few more than sixteen pixels. Position
 l of a window that starts at pixel s lies at p + l d from s + l (d = step - 1, small), so
 
-    value[l] = sum over t of hat(p + l d - t) row[s + l + t],   hat(x) = max(0, 1 - |x|),
+    value[l] = sum over t of hat(p + l d - t) row[s + l + t],   hat(x) = max(0, 1 - |x| / reach),
 
-where each term is one contiguous load. Linear interpolation has two terms that are not zero; the others cost less than
-sixteen scattered loads, and the weights serve eight rows. numba has no vector types, hence the LLVM instructions
-written out below; LLVM lowers them to whatever width the processor has.
+where each term is one contiguous load. Linear interpolation (reach = 1) has two terms that are not zero; the others
+cost less than sixteen scattered loads, and the weights serve eight rows. numba has no vector types, hence the LLVM
+instructions written out below; LLVM lowers them to whatever width the processor has.
+
+The transpose of linear interpolation at positions a + i b is the same sum, with positions (i - a) / b and reach 1 / b.
 """
 
 from __future__ import annotations
@@ -37,40 +39,63 @@ def padded_width(count: int) -> int:
     return -(-count // LANES) * LANES
 
 
-def padding(step: float) -> int:
+def padding(step: float, reach: float = 1.0) -> int:
     """Zeros needed before and after a row that is read with steps of up to ``step`` pixels."""
-    return LANES * int(np.ceil(max(step, 1.0))) + 4
+    return LANES * int(np.ceil(max(step, 1.0))) + 2 * int(np.ceil(reach)) + 2
 
 
 @njit(cache=True, error_model="numpy")
-def add_resampled_rows(rows: FloatArray, pad: int, offset: float, step: float, totals: FloatArray) -> None:
-    """totals[r, i] += row r read at the position offset + i step, linearly interpolated, zero beyond its ends.
+def add_resampled_rows(
+    rows: FloatArray, pad: int, offset: float, step: float, reach: float, totals: FloatArray
+) -> None:
+    """totals[r, i] += row r weighted with a hat around the position offset + i step; zero beyond the row's ends.
 
-    rows: (ROWS, pad + columns + pad), C order, zero in the padding; pad: ``padding(step)`` or more.
+    rows: (ROWS, pad + columns + pad), C order, zero in the padding; pad: ``padding(step, reach)`` or more.
     offset, step: in pixels, 0 is the centre of the first of the ``columns`` pixels; step > 0.
+    reach: where the hat is zero, pixels; 1 for linear interpolation.
     totals: (ROWS, padded_width(n)), C order.
     """
     columns = rows.shape[1] - 2 * pad
     drift = (LANES - 1) * (step - 1.0)
     for start in range(0, totals.shape[1], LANES):
         position = offset + start * step
-        if position >= columns or position + (LANES - 1) * step <= -1.0:
+        if position >= columns - 1 + reach or position + (LANES - 1) * step <= -reach:
             continue
-        window = int(np.floor(position + min(drift, 0.0)))
+        window = int(np.floor(position + min(drift, 0.0) - reach)) + 1
         first = position - window
-        taps = int(max(first, first + drift)) + 2
-        _add_window(rows, window + pad, totals, start, np.float32(first), np.float32(step - 1.0), taps)
+        taps = int(max(first, first + drift) + reach) + 1
+        _add_window(
+            rows,
+            window + pad,
+            totals,
+            start,
+            np.float32(first),
+            np.float32(step - 1.0),
+            np.float32(1.0 / reach),
+            taps,
+        )
 
 
 @intrinsic  # type: ignore[untyped-decorator]
 def _add_window(
-    typing: Any, rows: Any, window: Any, totals: Any, start: Any, first: Any, drift: Any, taps: Any
+    typing: Any,
+    rows: Any,
+    window: Any,
+    totals: Any,
+    start: Any,
+    first: Any,
+    drift: Any,
+    slope: Any,
+    taps: Any,
 ) -> tuple[Any, Any]:
-    """totals[r, start + l] += sum over t < taps of hat(first + l drift - t) rows[r, window + l + t], l < 16, r < 8."""
-    signature = types.void(rows, types.int64, totals, types.int64, types.float32, types.float32, types.int64)
+    """totals[r, start + l] += sum over t < taps of hat(first + l drift - t) rows[r, window + l + t], l < 16, r < 8;
+    hat(x) = max(0, 1 - slope |x|)."""
+    signature = types.void(
+        rows, types.int64, totals, types.int64, types.float32, types.float32, types.float32, types.int64
+    )
 
     def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-        rows_value, window, totals_value, start, first, drift, taps = arguments
+        rows_value, window, totals_value, start, first, drift, slope, taps = arguments
         read = _Rows(context, builder, signature.args[0], rows_value, window)
         write = _Rows(context, builder, signature.args[2], totals_value, start)
         function = ir.FunctionType(_VECTOR, [_VECTOR])
@@ -83,12 +108,13 @@ def _add_window(
         lane = ir.Constant(_VECTOR, [float(n) for n in range(LANES)])
         zero, one = (ir.Constant(_VECTOR, [value] * LANES) for value in (0.0, 1.0))
         position = builder.call(multiply_add, [lane, _splat(builder, drift), _splat(builder, first)])
+        falling = builder.fneg(_splat(builder, slope))
         # LLVM keeps these in registers.
         sums = [cgutils.alloca_once_value(builder, write.load(row, _INDEX(0))) for row in range(ROWS)]
         with cgutils.for_range(builder, taps) as loop:
             tap = _splat(builder, builder.sitofp(loop.index, _FLOAT))
             distance = builder.call(absolute, [builder.fsub(position, tap)])
-            hat = builder.call(largest, [zero, builder.fsub(one, distance)])
+            hat = builder.call(largest, [zero, builder.call(multiply_add, [distance, falling, one])])
             for row in range(ROWS):
                 total = builder.call(multiply_add, [hat, read.load(row, loop.index), builder.load(sums[row])])
                 builder.store(total, sums[row])

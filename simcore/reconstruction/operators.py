@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from simcore.core.errors import GeometryError
 from simcore.core.geometry import AcquisitionGeometry
 from simcore.core.grid import Grid
-from simcore.reconstruction.interpolation import add_two_rows, row_weights, scatter_resampled
+from simcore.reconstruction.interpolation import add_two_rows, row_weights
 from simcore.reconstruction.lanes import ROWS, add_resampled_rows, padded_width, padding
 
 FloatArray = NDArray[np.float32]
@@ -56,9 +56,12 @@ def backproject(projections: FloatArray, grid: Grid, geometry: AcquisitionGeomet
         raise ValueError(f"projections {projections.shape} do not fit {geometry.views} views of {detector}")
     volume = np.zeros(grid.shape, np.float32)
     offsets, steps = _crossings(grid, geometry)
+    reach = float(1.0 / steps[:, :, 1].min())
+    pad, width = padding(reach, reach), padded_width(grid.shape[2])
+    padded = np.zeros((-(-detector.ny // ROWS) * ROWS, detector.nx + 2 * pad), np.float32)
     for view in range(geometry.views):
-        weighted = projections[view] * _ray_lengths(grid, geometry, view)
-        _backproject_view(weighted, offsets[view], steps[view], volume)
+        padded[: detector.ny, pad : pad + detector.nx] = projections[view] * _ray_lengths(grid, geometry, view)
+        _backproject_view(padded, pad, offsets[view], steps[view], width, volume)
     return volume
 
 
@@ -113,23 +116,31 @@ def _project_view(
                 row[:] = 0.0
                 first, second, lower, upper = row_weights(offset[z, 0] + (j0 + r) * step[z, 0], ny)
                 add_two_rows(volume[z, first], volume[z, second], np.float32(lower), np.float32(upper), row)
-            add_resampled_rows(crossed, pad, offset[z, 1], step[z, 1], sums)
+            add_resampled_rows(crossed, pad, offset[z, 1], step[z, 1], 1.0, sums)
         projection[j0 : j0 + count] = sums[:count, :columns]
 
 
 @njit(cache=True, parallel=True, error_model="numpy")
-def _backproject_view(projection: FloatArray, offset: Coordinates, step: Coordinates, volume: FloatArray) -> None:
-    """Add one view to every slice; a slice belongs to one thread."""
+def _backproject_view(
+    padded: FloatArray, pad: int, offset: Coordinates, step: Coordinates, width: int, volume: FloatArray
+) -> None:
+    """Add one view, float32 (rows, pad + nx + pad), to every slice; a slice belongs to one thread."""
     nz, ny, nx = volume.shape
     for z in prange(nz):
-        spread = np.empty(nx, np.float32)
-        for j in range(projection.shape[0]):
-            first, second, lower, upper = row_weights(offset[z, 0] + j * step[z, 0], ny)
-            if lower == 0.0 and upper == 0.0:
-                continue
+        spread = np.empty((ROWS, width), np.float32)
+        for j0 in range(0, padded.shape[0], ROWS):
             spread[:] = 0.0
-            scatter_resampled(projection[j], offset[z, 1], step[z, 1], spread)
-            for i in range(nx):
-                volume[z, first, i] += np.float32(lower) * spread[i]
-            for i in range(nx):
-                volume[z, second, i] += np.float32(upper) * spread[i]
+            first_column = -offset[z, 1] / step[z, 1]
+            reach = 1.0 / step[z, 1]
+            add_resampled_rows(padded[j0 : j0 + ROWS], pad, first_column, reach, reach, spread)
+            for r in range(ROWS):
+                first, second, lower, upper = row_weights(offset[z, 0] + (j0 + r) * step[z, 0], ny)
+                _add_scaled(spread[r, :nx], np.float32(lower), volume[z, first])
+                _add_scaled(spread[r, :nx], np.float32(upper), volume[z, second])
+
+
+@njit(cache=True, fastmath={"contract"}, error_model="numpy")
+def _add_scaled(row: FloatArray, factor: np.float32, total: FloatArray) -> None:
+    if factor != 0.0:
+        for i in range(len(total)):
+            total[i] += factor * row[i]
