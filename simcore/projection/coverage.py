@@ -49,6 +49,26 @@ def check_geometry(geometry: AcquisitionGeometry, grid: Grid) -> None:
             )
 
 
+def present(labels: NDArray[np.uint8], mu: NDArray[np.float64]) -> NDArray[np.float64]:
+    """The table of coefficients with 0 for tissues that no voxel has: kernels spend time on every one that is not 0."""
+    bits = int(np.bitwise_or.reduce(_label_bits(labels)))
+    return np.where((bits >> np.arange(len(mu))) & 1, mu, 0.0)
+
+
+@numba.njit(parallel=True, cache=True)
+def _label_bits(labels: NDArray[np.uint8]) -> NDArray[np.uint32]:
+    """(nz,): bit n is set where a voxel of the slice has label n."""
+    nz, ny, nx = labels.shape
+    bits = np.zeros(nz, np.uint32)
+    for k in numba.prange(nz):
+        for j in range(ny):
+            found = np.uint32(0)
+            for i in range(nx):
+                found |= np.uint32(1) << np.uint32(labels[k, j, i])
+            bits[k] |= found
+    return bits
+
+
 def row_ends(labels: NDArray[np.uint8], mu: NDArray[np.float64]) -> NDArray[np.int32]:
     """(nz, ny): one more than the last x index with mu > 0 in every row of voxels, 0 where there is none."""
     ends: NDArray[np.int32] = _row_ends(labels, mu)

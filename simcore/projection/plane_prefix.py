@@ -210,7 +210,10 @@ def _run_tile(
     prefix: NDArray[np.float32],
     out: NDArray[np.float32],
 ) -> None:
-    """Subtract E_b(z_b) of every crossing from out; leave E at the top of the volume in ``prefix``."""
+    """Subtract E_b(z_b) of every crossing from out; leave E at the top of the volume in ``prefix``.
+
+    Where the rows' path stays in one column through a slice, E grows linearly in it; where it changes column, the
+    crossings first take E at the bottom of the slice and then the share of each column."""
     labels, ends, codes, values = voxels
     start, pixel, boundary, fraction, _ = crossings
     bottom_y, top_y, _, _ = rows
@@ -229,26 +232,13 @@ def _run_tile(
             enter_y = bottom_y[row] + slope * k
             leave_y = bottom_y[row] + slope * (k + 1)
             column, final = math.floor(enter_y), math.floor(leave_y)
-            known_before = known[local]
-            if column == final:
-                if 0 <= column < ny and ends[k, column] > 0:
-                    end = ends[k, column] + 1
-                    slot = column % COLUMN_CACHE
-                    if held[slot] != column:
-                        _differences(labels[k, column], end, codes, values, scratch, cache[slot])
-                        held[slot] = column
-                    known[local] = max(known_before, end)
-                    _cross(prefix[local], cache[slot], first, stop, pixel, boundary, fraction, known[local], out[row])
-                    _add(prefix[local], cache[slot], end, np.float32(1.0))
-                elif known_before > 0:
-                    _cross_constant(prefix[local], first, stop, pixel, boundary, known_before, out[row])
-                continue
-            if known_before > 0:
-                _cross_constant(prefix[local], first, stop, pixel, boundary, known_before, out[row])
+            straight = column == final
+            if not straight and known[local] > 0:
+                _cross_constant(prefix[local], first, stop, pixel, boundary, known[local], out[row])
             step = 1 if final > column else -1
-            t_enter = 0.0
+            low = 0.0
             while True:
-                t_leave = 1.0 if column == final else (column + (step > 0) - enter_y) / slope
+                high = 1.0 if column == final else (column + (step > 0) - enter_y) / slope
                 if 0 <= column < ny and ends[k, column] > 0:
                     end = ends[k, column] + 1
                     slot = column % COLUMN_CACHE
@@ -256,13 +246,20 @@ def _run_tile(
                         _differences(labels[k, column], end, codes, values, scratch, cache[slot])
                         held[slot] = column
                     known[local] = max(known[local], end)
-                    low, high = np.float32(t_enter), np.float32(t_leave)
-                    _cross_part(cache[slot], first, stop, pixel, boundary, fraction, end, low, high, out[row])
-                    _add(prefix[local], cache[slot], end, high - low)
+                    if straight:
+                        _cross(
+                            prefix[local], cache[slot], first, stop, pixel, boundary, fraction, known[local], out[row]
+                        )
+                    else:
+                        part = np.float32(low), np.float32(high)
+                        _cross_part(cache[slot], part, first, stop, pixel, boundary, fraction, end, out[row])
+                    _add(prefix[local], cache[slot], end, np.float32(high - low))
+                elif straight and known[local] > 0:
+                    _cross_constant(prefix[local], first, stop, pixel, boundary, known[local], out[row])
                 if column == final:
                     break
                 column += step
-                t_enter = t_leave
+                low = high
 
 
 @numba.njit(cache=True, fastmath=FAST, error_model="numpy")
@@ -342,17 +339,17 @@ def _cross_constant(
 @numba.njit(cache=True, fastmath=FAST, error_model="numpy")
 def _cross_part(
     step: NDArray[np.float32],
+    part: tuple[np.float32, np.float32],
     first: int,
     stop: int,
     pixel: NDArray[np.uint32],
     boundary: NDArray[np.uint32],
     fraction: NDArray[np.float32],
     known: int,
-    low: np.float32,
-    high: np.float32,
     out: NDArray[np.float32],
 ) -> None:
-    """The share of one column where the row's path changes column within the slice, between ``low`` and ``high``."""
+    """The share of one column, between two heights, where the row's path changes column within the slice."""
+    low, high = part
     for event in range(np.uint64(first), np.uint64(stop)):
         b = boundary[event]
         if b >= known:

@@ -29,7 +29,8 @@ def project_views(
             code="open-field-too-large",
         )
     mu = attenuation_table(physics.attenuation)
-    ends = coverage.row_ends(phantom.labels, mu)
+    used = coverage.present(phantom.labels, mu)
+    ends = coverage.row_ends(phantom.labels, used)
     shadows = coverage.shadows(ends, phantom.grid.moved(z=geometry.support_height), geometry)
     beyond = coverage.truncation(shadows, geometry)
     if beyond and acquisition.truncation == "refuse":
@@ -45,7 +46,7 @@ def project_views(
     for view in range(geometry.views):
         progress(view / geometry.views, f"view {view + 1} of {geometry.views}")
         line_integrals(
-            phantom, geometry, view, mu,
+            phantom, geometry, view, used,
             sampling=physics.sampling, step_voxels=physics.step_voxels, ends=ends, out=integrals,
         )  # fmt: skip
         largest = max(largest, float(integrals.max()))
