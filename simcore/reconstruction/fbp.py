@@ -36,8 +36,10 @@ def filtered_backprojection(
 ) -> Volume:
     """See ``simcore.reconstruction.reconstruct``; formulas and normalisation stand in ``filters``.
 
-    Voxel-driven, bilinear on the detector, zero beyond its edges. A limited angular range loses low frequencies:
-    the inside of a wide object comes out near zero and its edges along y are pronounced.
+    Voxel-driven, bilinear on the detector, zero beyond its edges. A limited angular range loses low frequencies: the
+    inside of a wide object comes out near zero and its edges along y are pronounced. At the centre of an elliptic
+    cylinder with semi-axes a (y) and b (z) the value is 2 / pi atan(b / a tan(range / 2)) of the true one; away from
+    the centre it changes with depth, as the fans of the missing views do not cancel.
     """
     geometry = stack.geometry
     grid = volume_grid(geometry, spec, thickness_mm)

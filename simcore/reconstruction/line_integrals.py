@@ -85,22 +85,25 @@ def _resample_turned(
     first: int,
     stop: int,
 ) -> FloatArray:
+    """Bilinear between pixel centres, constant over the outer half of edge pixels, zero beyond."""
     ny, nx = view.shape
     result = np.zeros((ny, stop - first), np.float32)
     for j in range(ny):
-        row = int(np.floor(rows[j]))
-        if row < -1 or row >= ny:
+        if rows[j] < -0.5 or rows[j] > ny - 0.5:
             continue
-        upper = rows[j] - row
+        row = min(max(rows[j], 0.0), ny - 1.0)
+        lower = min(int(row), max(ny - 2, 0))
+        upper = min(lower + 1, ny - 1)
+        up = row - lower
         for i in range(stop - first):
-            position = (first + i + 0.5) * scale[j] - 0.5
-            column = int(np.floor(position))
-            right = position - column
-            total = 0.0
-            for dj in range(2):
-                for di in range(2):
-                    if 0 <= row + dj < ny and 0 <= column + di < nx:
-                        weight = (upper if dj else 1.0 - upper) * (right if di else 1.0 - right)
-                        total += weight * table[view[row + dj, column + di]]
-            result[j, i] = total
+            column = (first + i + 0.5) * scale[j] - 0.5
+            if column > nx - 0.5:
+                break
+            column = min(max(column, 0.0), nx - 1.0)
+            left = min(int(column), max(nx - 2, 0))
+            right = min(left + 1, nx - 1)
+            along = column - left
+            below = (1.0 - along) * table[view[lower, left]] + along * table[view[lower, right]]
+            above = (1.0 - along) * table[view[upper, left]] + along * table[view[upper, right]]
+            result[j, i] = (1.0 - up) * below + up * above
     return result

@@ -10,6 +10,7 @@ from simcore.core.artifacts import ProjectionStack
 from simcore.core.grid import Grid
 from simcore.reconstruction import FilteredBackprojection
 from simcore.reconstruction.backprojection import backproject_quantised, plan_backprojection
+from simcore.reconstruction.fbp import filtered_views
 from simcore.reconstruction.filters import angular_steps, frequency_response
 from simcore.reconstruction.line_integrals import attenuation_table, lit_columns
 from simcore.reconstruction.line_integrals import line_integrals as carried_integrals
@@ -105,7 +106,7 @@ def test_line_integrals_of_pixel_values():
 
 def test_turned_detector_is_read_where_rays_meet_it(make_geometry, line_integrals):
     """Line integrals carried to the plane z = 0 are those of a detector that lies there."""
-    ellipsoid = ((30.0, 5.0, 40.0), (25.0, 30.0, 15.0), 0.02)
+    ellipsoid = ((5.0, 5.0, 40.0), (45.0, 30.0, 15.0), 0.02)
     still = make_geometry(ny=150, nx=90, pixel=0.8, views=3, source_to_detector=300.0)
     turned = make_geometry(ny=150, nx=90, pixel=0.8, views=3, source_to_detector=300.0, detector_range=30.0)
     expected = line_integrals(still, [ellipsoid])
@@ -116,8 +117,17 @@ def test_turned_detector_is_read_where_rays_meet_it(make_geometry, line_integral
         # At the rim of the shadow the line integral is a root, which interpolation cannot follow.
         inside = expected[view] > 0.35
         assert 2000 < inside.sum() < 6000
+        assert inside[:, 0].sum() > 40  # up to the chest wall
         assert np.abs(carried - expected[view])[inside].max() < 5e-4
         assert np.all(carried[binary_erosion(expected[view] == 0, iterations=2)] == 0)
+
+
+def test_slice_thickness_filter_is_meant_for_the_middle_of_the_volume(make_geometry):
+    data = np.random.default_rng(3).integers(30000, 60000, (3, 64, 8)).astype(np.uint16)
+    stack = ProjectionStack(data, 60000.0, make_geometry(ny=64, nx=8, views=3))
+    low, high = (filtered_views(stack, FilteredBackprojection(), z_middle) for z_middle in (0.0, 60.0))
+    np.testing.assert_array_equal(low[1], high[1])
+    assert np.linalg.norm(high[0]) < 0.98 * np.linalg.norm(low[0])
 
 
 def test_angular_steps():
