@@ -151,8 +151,7 @@ def _iso_surface(
     """Marching cubes closed at the wall: two layers at x = 0, one that goes on as the first layer of blocks and one
     that is outside everywhere, so that all triangles between them lie in the plane and end at a sharp rim."""
     first = occupancy[:, :, :1]
-    outside = np.minimum(2 * level - first, first)
-    field = np.concatenate([outside, first, occupancy], axis=2)
+    field = np.concatenate([np.zeros_like(first), first, occupancy], axis=2)
     field[field == np.float32(level)] += 1e-6
     indices, faces, _, _ = marching_cubes(field, level, method="lewiner")
     points = np.stack(
