@@ -24,6 +24,8 @@ SMOOTHING_BLOCKS = 0.7
 SMOOTHING_VOXELS = 1.2
 """... and at least this many voxels: where a block is one voxel, it is all or nothing."""
 _MARGIN = 4
+_LEVELS = (0.2, 0.8)
+"""Range of the iso-surface level."""
 
 Axes = tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]
 """Coordinates of the sample layers along (z, y, x), mm."""
@@ -94,6 +96,12 @@ def outline(phantom: Phantom, edge_length: float = 5.5) -> Outline:
     # Mirrored at the wall, so that the smoothing does not pull the outline in where it meets the wall.
     sigma = np.maximum(SMOOTHING_BLOCKS, SMOOTHING_VOXELS / block)
     smooth = gaussian_filter(np.pad(occupancy, margin), sigma, mode=["constant", "constant", "reflect"])
+    if smooth.max() <= _LEVELS[1]:
+        raise MeshError(
+            f"the body is only about {(volume / phantom.grid.voxel_volume) ** (1 / 3):.1f} voxels across: too few for "
+            "an outline; use smaller voxels",
+            code="mesh-empty",
+        )
     axes = (
         phantom.grid.corner[2] + (np.arange(smooth.shape[0]) + 0.5 - _MARGIN) * step[0],
         phantom.grid.corner[1] + (np.arange(smooth.shape[1]) + 0.5 - _MARGIN) * step[1],
@@ -139,7 +147,7 @@ def _surface_of_volume(
             # The smoothed edge is about this wide, the surface of a compact body about 5 volume^(2/3).
             slope = -5 * volume ** (2 / 3) * 2.5 * SMOOTHING_BLOCKS * float(axes[0][1] - axes[0][0])
         last_level, last_error = level, error
-        level = float(np.clip(level - error / slope, 0.2, 0.8))
+        level = float(np.clip(level - error / slope, *_LEVELS))
         if level == last_level:
             break
     return points, triangles

@@ -121,6 +121,14 @@ def test_outline_needs_a_chest_wall() -> None:
         outline(Phantom(phantom.labels, phantom.grid.moved(x=-31.0)))
 
 
+def test_outline_refuses_a_handful_of_voxels() -> None:
+    labels = np.zeros((8, 8, 8), np.uint8)
+    labels[3:5, 3:5, :2] = 1
+    with pytest.raises(MeshError, match=r"about 2\.0 voxels across") as error:
+        outline(Phantom(labels, Grid((8, 8, 8), (5.0, 5.0, 5.0), (0.0, -20.0, -20.0))))
+    assert error.value.code == "mesh-empty"
+
+
 def test_outline_refuses_two_bodies_and_drops_specks() -> None:
     phantom = ellipsoid_phantom()
     labels = np.array(phantom.labels)
