@@ -17,6 +17,9 @@ from simcore.core.errors import StoreError
 SCHEMA_VERSION = 1
 MAKE_ATTEMPTS = 5
 
+POSTGRES_DRIVER = "postgresql+pg8000"
+"""Driver of a URL that names none; the extra ``postgres`` installs it."""
+
 metadata = sa.MetaData()
 
 schema = sa.Table("schema_version", metadata, sa.Column("version", sa.Integer, primary_key=True))
@@ -75,6 +78,8 @@ workers = sa.Table(
 def connect(url: str) -> sa.Engine:
     """An engine for ``url``; opens nothing yet."""
     made = sa.make_url(url)
+    if made.drivername == "postgresql":
+        made = made.set(drivername=POSTGRES_DRIVER)
     if made.get_backend_name() != "sqlite":
         return sa.create_engine(made, pool_pre_ping=True)
     if made.database:

@@ -40,9 +40,11 @@ class Fleet:
         with self.engine.begin() as connection:
             connection.execute(workers.delete().where(workers.c.seen < self.clock() - silent_seconds))
 
-    def alive(self, within_seconds: float = SILENT_SECONDS) -> int:
-        """How many workers said within these seconds that they are alive."""
+    def alive(self, within_seconds: float = SILENT_SECONDS, host: str | None = None) -> int:
+        """How many workers (of a machine) said within these seconds that they are alive."""
         query = sa.select(sa.func.count()).where(workers.c.seen > self.clock() - within_seconds)
+        if host is not None:
+            query = query.where(workers.c.name.startswith(f"{host}:", autoescape=True))
         with reading(self.engine) as connection:
             return connection.scalar(query) or 0
 

@@ -39,6 +39,7 @@ def postgres_url() -> Iterator[str]:
     """A PostgreSQL server of our own on a Unix socket; skipped where the programs are not installed."""
     if not shutil.which("initdb") or not shutil.which("postgres"):
         pytest.skip("PostgreSQL is not installed")
+    pytest.importorskip("pg8000")
     folder = Path(tempfile.mkdtemp(prefix="pg"))
     # PostgreSQL refuses to run as root.
     user = "nobody" if os.getuid() == 0 else None
@@ -61,14 +62,14 @@ def postgres_url() -> Iterator[str]:
         env=env,
         stderr=subprocess.DEVNULL,
     )
-    url = f"postgresql+psycopg://tomosim@/postgres?host={folder}"
+    url = f"postgresql://tomosim@/postgres?unix_sock={folder}/.s.PGSQL.5432"
     try:
         engine = connect(url)
         for _ in range(100):
             try:
                 engine.connect().close()
                 break
-            except sa.exc.OperationalError:
+            except sa.exc.DBAPIError:
                 assert server.poll() is None
                 time.sleep(0.1)
         engine.dispose()
@@ -108,7 +109,7 @@ def make_settings(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[.
     """Settings on a fresh data folder, with the fake pipeline."""
     for name in [n for n in os.environ if n.startswith("TOMOSIM_")]:
         monkeypatch.delenv(name)
-    monkeypatch.setenv("PYTHONPATH", str(HERE))
+    monkeypatch.setenv("PYTHONPATH", str(HERE), prepend=os.pathsep)
 
     def make(**changes: object) -> Settings:
         given = {"data_folder": tmp_path / "data", "pipeline": "fake_pipeline:run", "memory_limit_bytes": 3_000_000_000}

@@ -1,6 +1,6 @@
 """A pipeline for tests of the service: two stages, and whatever misbehaviour the name of the case asks for.
 
-slow      ten seconds of work in small steps     forever   does not come to an end
+slow      four seconds of work in steps         forever   does not come to an end
 crash     kills its own process with SIGSEGV     memory    asks for more memory than there is
 refuse    raises a SolverError                   mistake   raises a KeyError
 noise     prints to standard output              once      crashes unless its marker file is there
@@ -83,7 +83,7 @@ def misbehave(name: str, progress: Any) -> None:
         os.kill(os.getpid(), signal.SIGSEGV)
     if name in ("slow", "forever"):
         step = 0
-        while name == "forever" or step < 100:
+        while name == "forever" or step < 40:
             step += 1
-            progress(STAGES[-1], min(0.99, step / 100), f"step {step}, process {os.getpid()}")
+            progress(STAGES[-1], min(0.99, step / 40), f"step {step}, process {os.getpid()}")
             time.sleep(0.1)

@@ -1,0 +1,76 @@
+"""``python -m api`` and ``python -m worker`` as docker-compose starts them: PostgreSQL, a broker on TCP."""
+
+import subprocess
+import sys
+import time
+
+import httpx
+import pytest
+
+from worker import broker
+from worker.processes import environment
+
+PATIENCE_SECONDS = 60
+
+
+def wait_for(condition, what):
+    deadline = time.monotonic() + PATIENCE_SECONDS
+    while not (found := condition()):
+        assert time.monotonic() < deadline, f"{what} did not happen"
+        time.sleep(0.1)
+    return found
+
+
+@pytest.fixture
+def start():
+    started = []
+
+    def run(command, env=None):
+        started.append(subprocess.Popen(command, env=env, stdout=subprocess.DEVNULL, stderr=subprocess.STDOUT))
+        return started[-1]
+
+    yield run
+    for process in reversed(started):
+        if process.poll() is None:
+            process.terminate()
+            try:
+                process.wait(20)
+            except subprocess.TimeoutExpired:
+                process.kill()
+                process.wait()
+
+
+def is_ready(url):
+    try:
+        return httpx.get(f"{url}/readyz").is_success
+    except httpx.HTTPError:
+        return False
+
+
+def test_separate_processes(start, make_settings, postgres_url, free_port, tmp_path):
+    broker_port = free_port + 1 if free_port < 65000 else free_port - 1
+    command = [str(broker.find_server()), "--port", str(broker_port), "--bind", "127.0.0.1", "--dir", str(tmp_path)]
+    start([*command, "--save", ""])
+    settings = make_settings(
+        database_url=postgres_url, broker_url=f"redis://127.0.0.1:{broker_port}/0", port=free_port, sweep_seconds=0.3
+    )
+    env = environment(settings)
+    worker = start([sys.executable, "-m", "worker"], env)
+    start([sys.executable, "-m", "api"], env)
+    url = f"http://127.0.0.1:{free_port}"
+    wait_for(lambda: is_ready(url), "readiness")
+    assert subprocess.run([sys.executable, "-m", "worker.health"], env=env).returncode == 0
+
+    case = url + httpx.post(f"{url}/v1/simulations", json={"name": "fine"}).json()["links"]["self"]
+    wait_for(lambda: httpx.get(case).json()["state"] == "succeeded", "the end of the case")
+    assert len(httpx.get(f"{case}/artifacts").json()["items"]) == 3
+
+    # A worker that is stopped says so, and gives its case to the next one.
+    slow = url + httpx.post(f"{url}/v1/simulations", json={"name": "slow"}).json()["links"]["self"]
+    wait_for(lambda: httpx.get(slow).json()["progress"]["message"].startswith("step"), "the computation")
+    worker.terminate()
+    worker.wait(PATIENCE_SECONDS)
+    assert httpx.get(slow).json()["state"] == "queued"
+    assert subprocess.run([sys.executable, "-m", "worker.health"], env=env, stderr=subprocess.DEVNULL).returncode == 1
+    start([sys.executable, "-m", "worker"], env)
+    wait_for(lambda: httpx.get(slow).json()["state"] == "succeeded", "the end of the case")
