@@ -75,6 +75,15 @@ def test_gland_is_one_central_region_with_small_fat_inside(cup_c: Phantom) -> No
     assert cup_c.report["compartments"]["enclosed"] > 20
 
 
+def test_little_gland_lies_in_the_middle() -> None:
+    phantom = generate(cup("C", 1.2, glandularity=0.08), seed=1)
+    a, b, upper, lower = phantom.report["semi_axes_mm"]
+    k, j, i = np.nonzero(phantom.labels == Tissue.GLAND)
+    x, y, z = (phantom.grid.centres(axis)[index] for axis, index in (("x", i), ("y", j), ("z", k)))
+    around_middle = similar_radius((a / 2, b, upper, lower), x - 0.45 * a, y, z)
+    assert np.percentile(around_middle, 95) < 0.65
+
+
 def test_layers_have_their_thickness(cup_c: Phantom) -> None:
     kinds, volumes = cup_c.report["compartments"], cup_c.report["compartment_volume_cm3"]
     assert sum(kinds.values()) == 450

@@ -61,16 +61,29 @@ def test_labels_equal_every_seed_at_every_voxel(ligament_mm: float) -> None:
     assert not labels[~breast].any()
 
 
+def test_labels_equal_every_seed_where_blocks_are_smaller_than_ligaments() -> None:
+    _, _, cells = grown(volume_ml=30.0, voxel_mm=0.8, compartments=CompartmentSpec(count=60))
+    labels = np.zeros((100, 100, 200), dtype=np.uint8)
+    rows = np.full((100, 100), 200, dtype=np.int32)
+    label_voxels(cells.table, cells.gland_seeds, 1.5, rows, rows, 0.1, -3.0, -6.0, labels)
+    index = np.random.default_rng(0).integers(0, (100, 100, 200), (40_000, 3))
+    points = (index[:, ::-1] + 0.5) * 0.1 + [0.0, -3.0, -6.0]
+    expected, doubt = oracles.tissue(cells.table, cells.gland_seeds, 1.5, points)
+    differ = labels[tuple(index.T)] != expected
+    assert not np.any(differ & (doubt > 1e-4))
+    assert set(np.unique(expected)) == {Tissue.ADIPOSE, Tissue.GLAND, Tissue.LIGAMENT}
+
+
 def test_seeds_dropped_for_a_box_neither_win_nor_draw_a_ligament_in_it() -> None:
     random = np.random.default_rng(3)
     _, _, cells = grown(volume_ml=100.0, voxel_mm=2.0, compartments=CompartmentSpec(count=200))
     table, n = cells.table, cells.table.shape[1]
     kept, work = np.empty((ROWS, n), np.float32), np.empty((2, n), np.float32)
     sizes = []
-    for _ in range(200):
-        half = random.uniform(0.5, 6.0, 3).astype(np.float32)
+    for _ in range(400):
+        half = 10 ** random.uniform(-1.5, 0.8, 3).astype(np.float32)
         centre = random.uniform([0, -25, -25], [40, 25, 25]).astype(np.float32)
-        thickness = np.float32(random.uniform(0, 1))
+        thickness = np.float32(random.uniform(0, 5))
         number = keep_rivals(table, n, *centre, *half, thickness, np.float32(0), work[0], work[1], kept)
         points = centre + random.uniform(-1, 1, (200, 3)) * half
         delay, gradient = oracles.delays(table, points)
@@ -80,7 +93,7 @@ def test_seeds_dropped_for_a_box_neither_win_nor_draw_a_ligament_in_it() -> None
         matters[winner] = True
         assert set(np.flatnonzero(matters)) <= set(kept[ROWS - 1, :number].astype(int))
         sizes.append(number)
-    assert np.mean(sizes) < 0.2 * n  # it does drop
+    assert np.mean(sizes) < 0.3 * n  # it does drop
 
 
 def test_survey_equals_every_seed_at_every_point_and_region_growing_up_to_connectivity() -> None:
