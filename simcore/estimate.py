@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from bisect import bisect_right
 
 from pydantic import BaseModel, Field
 
@@ -21,10 +22,11 @@ class Estimate(BaseModel):
     seconds: float = Field(description="time on two cores, mesh included [s]")
 
 
-# Lateral growth of a frictionless, nearly incompressible half ellipsoid between plates, fitted to the solver's own
-# results over cups A..DD at 20 and 50 % (docs/compression.md): extent after / before = (1 - fraction)^-exponent.
-GROWTH_EXPONENT_Y = 0.50
-GROWTH_EXPONENT_X = 0.42
+# How much deeper (x) and wider (y) a breast gets between the plates, against the compressed fraction of its thickness:
+# the solver's own results for the default outline and material, which hold for every volume. docs/stages.md.
+GROWTH_FRACTION = (0.0, 0.2, 0.5, 0.7, 0.75)
+GROWTH_X = (1.0, 1.032, 1.193, 1.47, 1.60)
+GROWTH_Y = (1.0, 1.048, 1.245, 1.53, 1.65)
 
 # Measured on the paper's case; docs/performance.md.
 BYTES_BASE = 500e6
@@ -34,12 +36,19 @@ BYTES_PER_TETRAHEDRON = 6e3
 def compressed_extent(spec: SimulationSpec) -> tuple[float, float, float]:
     """Predicted extent of the compressed breast: (depth along x, width along y, thickness along z), mm."""
     depth, half_width, upper, lower = spec.phantom.semi_axes()
-    left = 1 - spec.compression.percent / 100
+    fraction = spec.compression.percent / 100
     return (
-        depth * left**-GROWTH_EXPONENT_X,
-        2 * half_width * left**-GROWTH_EXPONENT_Y,
-        (upper + lower) * left,
+        depth * _interpolate(fraction, GROWTH_X),
+        2 * half_width * _interpolate(fraction, GROWTH_Y),
+        (upper + lower) * (1 - fraction),
     )
+
+
+def _interpolate(fraction: float, growth: tuple[float, ...]) -> float:
+    """Between the nearest two of GROWTH_FRACTION."""
+    k = min(bisect_right(GROWTH_FRACTION, fraction), len(growth) - 1)
+    f0, f1 = GROWTH_FRACTION[k - 1 : k + 1]
+    return growth[k - 1] + (growth[k] - growth[k - 1]) * (fraction - f0) / (f1 - f0)
 
 
 def estimate(spec: SimulationSpec) -> Estimate:
