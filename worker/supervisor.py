@@ -15,6 +15,7 @@ from typing import Any
 
 from sqlalchemy.exc import SQLAlchemyError
 
+from simcore.core.store import Store
 from worker.compute_process import ComputeDiedError, ComputeProcess
 from worker.contract import INTERNAL_ERROR, OUT_OF_MEMORY, TIMEOUT, State
 from worker.jobs import Jobs, Simulation, StageProgress
@@ -44,6 +45,7 @@ class Slot:
         self.settings = settings
         self.jobs = jobs
         self.stopping = stopping
+        self._store = Store(settings.store_folder)
         self._process: ComputeProcess | None = None
         self._claims = 0
 
@@ -59,6 +61,7 @@ class Slot:
         """Ends the compute process and all it started."""
         if self._process is not None:
             self._process.kill()
+            self._store.remove_workspaces(self._process.pid)
             self._process = None
 
     def run(self, identifier: str) -> None:

@@ -18,6 +18,7 @@ import hashlib
 import json
 import os
 import shutil
+import socket
 import tempfile
 from collections.abc import Callable, Iterator
 from dataclasses import asdict, dataclass, field
@@ -91,6 +92,10 @@ def _sync_folder(path: Path) -> None:
         os.close(fd)
 
 
+def _workspace_prefix(process: int) -> str:
+    return f"{socket.gethostname()}-{process}-"
+
+
 class Store:
     """The store below ``root``; made where it is not there. Safe for many threads and processes of one machine."""
 
@@ -134,7 +139,7 @@ class Store:
     def workspace(self) -> Iterator[Path]:
         """A fresh folder on the disk of the store, removed at the end."""
         self.require_space(0)
-        folder = Path(tempfile.mkdtemp(dir=self.root / "tmp"))
+        folder = Path(tempfile.mkdtemp(prefix=_workspace_prefix(os.getpid()), dir=self.root / "tmp"))
         try:
             yield folder
         except OSError as error:
@@ -218,6 +223,11 @@ class Store:
             with self.workspace() as folder:
                 report, seconds, peak = compute(folder, key)
                 return self.commit(stage, version, key, folder, report, seconds, peak), False
+
+    def remove_workspaces(self, process: int) -> None:
+        """Removes what a process of this machine left in tmp/; for whoever has just killed it."""
+        for p in (self.root / "tmp").glob(_workspace_prefix(process) + "*"):
+            shutil.rmtree(p, ignore_errors=True)
 
     def sweep_temporary(self, older_than_seconds: float = 24 * 3600) -> None:
         """Removes what killed runs left in tmp/."""

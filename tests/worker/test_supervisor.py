@@ -143,15 +143,18 @@ def test_killed_between_two_cases(slot, jobs):
     next_case_works(slot, jobs)
 
 
-def test_cancel_kills_the_process(slot, jobs):
+def test_cancel_kills_the_process(slot, jobs, settings):
     identifier = queue(jobs, "forever")
     thread = run_in_thread(slot, identifier)
     running(jobs, identifier)
     pid = slot.warm_up().pid
+    unfinished = settings.store_folder / "tmp"
+    assert list(unfinished.iterdir())
     jobs.cancel(identifier)
     thread.join(PATIENCE_SECONDS)
     assert jobs.get(identifier).state == "cancelled"
     assert not is_alive(pid)
+    assert list(unfinished.iterdir()) == []
     next_case_works(slot, jobs)
 
 
