@@ -25,7 +25,8 @@ class CompartmentSpec(Spec):
 
     count: int = Field(450, ge=20, le=5000, description="number of compartments, all kinds together [1]")
     subcutaneous_fraction: float = quantity(
-        "thickness of the subcutaneous adipose layer, as a fraction of the local radius",
+        "thickness of the subcutaneous adipose layer, as a fraction of the local radius; both adipose layers are "
+        "made thinner where the gland that is asked for needs the room",
         unit="1",
         default=0.20,
         ge=0.0,
