@@ -164,7 +164,7 @@ def test_another_pixel_samples_the_same_volume(make_geometry, acquire):
     np.testing.assert_allclose(fine.grid.centres("x")[1::3], coarse.grid.centres("x"))
     np.testing.assert_allclose(fine.grid.centres("y")[1::3], coarse.grid.centres("y"), atol=1e-12)
     np.testing.assert_allclose(attenuation(coarse), attenuation(fine)[:, 1::3, 1::3], atol=1.5e-6)
-    assert attenuation(coarse).max() > 3e-3
+    assert np.ptp(attenuation(coarse)) > 1e-3  # there is something to see
 
 
 def test_stored_values_follow_slope_and_intercept(make_geometry, acquire):
