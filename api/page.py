@@ -28,7 +28,7 @@ def _page() -> tuple[str, str]:
     """The page and its policy: its own script and style by their digests, everything else from here alone."""
     content = PAGE.read_text(encoding="utf-8")
     policy = (
-        f"default-src 'none'; connect-src 'self'; img-src 'self'; script-src {_digests('script', content)}; "
+        f"default-src 'none'; connect-src 'self'; img-src 'self' data:; script-src {_digests('script', content)}; "
         f"style-src {_digests('style', content)}; base-uri 'none'; form-action 'none'; frame-ancestors 'none'"
     )
     return content, policy
