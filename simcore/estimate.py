@@ -98,6 +98,10 @@ def check(spec: SimulationSpec, memory_limit_bytes: int | None = None) -> Estima
 
 def _check_geometry(spec: SimulationSpec) -> None:
     a = spec.acquisition
+    if a.views < 2:
+        _refuse("acquisition.views", a.views, "a volume needs at least 2 views")
+    if a.angular_range_degrees == 0:
+        _refuse("acquisition.angular_range_degrees", 0.0, "a volume needs views at different angles: more than 0")
     depth, width, thickness = compressed_extent(spec)
     top = a.air_gap_mm + thickness
     # The focal spot is lowest in the outermost view.

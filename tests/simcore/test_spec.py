@@ -120,6 +120,8 @@ def changed(path: str, value) -> SimulationSpec:
     [
         ("acquisition.detector.pixels_y", 1000, r"pixels_y = 1000: .* at least \d+ pixels"),
         ("acquisition.detector.pixels_x", 500, r"pixels_x = 500: .* at least \d+ pixels"),
+        ("acquisition.views", 1, r"views = 1: a volume needs at least 2"),
+        ("acquisition.angular_range_degrees", 0.0, r"angular_range_degrees = 0: .* more than 0"),
         ("acquisition.air_gap_mm", 300.0, r"pixels_x = 1920: .* at least \d+ pixels"),
     ],
 )
