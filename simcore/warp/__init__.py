@@ -19,7 +19,8 @@ def deform(
         y centred, the top the upper plate. Entries of ``truth`` with "centre_mm" have it carried along.
         report: volume_before_ml, volume_after_ml, tissue_before_ml and tissue_after_ml {name: ml}, mesh_volume_ml
         (deformed), skirt_ml (taken from outside the mesh), holes (air voxels with tissue on all six sides), grid.
-    raises: SolverError (code "inverted-element") where the displacement turns a tetrahedron inside out.
+    raises: SolverError (code "inverted-element") where the displacement turns a tetrahedron inside out;
+        MeshError where the skin faces of the mesh are not faces of its tetrahedra.
     """
     # Here and not above: the specification is read where nothing may load compiled code.
     from simcore.warp.stage import deform_phantom

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from simcore.core.artifacts import TetMesh
+from simcore.core.errors import MeshError
 from simcore.core.grid import Grid
 from simcore.warp.maps import TetMaps
 
@@ -17,7 +18,7 @@ TOLERANCE = 1e-9
 FACES = np.array([[1, 2, 3], [0, 2, 3], [0, 1, 3], [0, 1, 2]])
 """Local nodes of the face opposite to each local node."""
 
-SIDEWAYS = 0.5
+SIDEWAYS = 0.1
 """How far a piece of the skirt reaches beyond the sides of its tetrahedron, relative to its reach outwards: neighbours
 must overlap where the surface is convex, or wedges between them stay open."""
 
@@ -76,11 +77,16 @@ def _within(low: NDArray[np.float64], high: NDArray[np.float64], shape: tuple[in
 
 
 def skin_faces(mesh: TetMesh) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """(tetrahedron, local node opposite) of every skin face of the mesh, in the order of the tetrahedra."""
+    """(tetrahedron, local node opposite) of every skin face of the mesh, in the order of the tetrahedra.
+
+    raises: MeshError where a skin face belongs to no tetrahedron, or to several.
+    """
     count = len(mesh.nodes)
     faces = np.sort(mesh.tets[:, FACES].reshape(-1, 3), axis=1)
     found = np.isin(_key(faces, count), _key(np.sort(mesh.skin, axis=1), count))
     at = np.flatnonzero(found)
+    if len(at) != len(mesh.skin):
+        raise MeshError(f"{len(mesh.skin)} skin faces, but {len(at)} faces of tetrahedra are among them")
     return at // 4, at % 4
 
 

@@ -5,10 +5,10 @@ from __future__ import annotations
 import numba
 import numpy as np
 import pytest
-from scipy.spatial import ConvexHull, Delaunay
+from scipy.spatial import Delaunay
 
 from simcore.core.artifacts import Compression, Phantom, TetMesh
-from simcore.core.errors import SolverError
+from simcore.core.errors import MeshError, SolverError
 from simcore.core.grid import Grid
 from simcore.core.tissues import Tissue
 from simcore.warp import WarpSpec, deform
@@ -23,8 +23,10 @@ def mesh_of(points):
     tets[volume < 0] = tets[volume < 0][:, [0, 2, 1, 3]]
     tets = tets[np.abs(volume) > 1e-9]
     wall = np.flatnonzero(points[:, 0] == 0.0)
-    hull = ConvexHull(points).simplices.astype(np.int64)
-    skin = hull[~np.isin(hull, wall).all(axis=1)]
+    faces = tets[:, [[1, 2, 3], [0, 2, 3], [0, 1, 3], [0, 1, 2]]].reshape(-1, 3)
+    _, first, count = np.unique(np.sort(faces, axis=1), axis=0, return_index=True, return_counts=True)
+    boundary = faces[first[count == 1]]
+    skin = boundary[~np.isin(boundary, wall).all(axis=1)]
     return TetMesh(points, tets, wall, skin)
 
 
@@ -162,6 +164,39 @@ def test_against_brute_force(spacing):
     assert out.report["holes"] == 0
 
 
+def test_skirt_leaves_the_inside_alone():
+    """Cavities of air stay, also where a neighbour's map, continued, would find tissue."""
+    mesh = box_mesh(cells=(3, 3, 3), jitter=0.25, seed=3)
+    generator = np.random.default_rng(6)
+    labels = generator.integers(0, 3, (16, 20, 24)).astype(np.uint8)
+    phantom = Phantom(labels, Grid(labels.shape, (1.0, 1.0, 1.0), (0.0, -10.0, -8.0)))
+    displacement = mesh.nodes * [0.1, 0.2, -0.3]
+    displacement += 0.7 * generator.uniform(-1, 1, displacement.shape) * (np.abs(mesh.nodes[:, 2:]) < 7.9)
+    compression = compression_of(displacement, (-5.6, 5.6))
+    whole = deform(phantom, mesh, compression, WarpSpec(skirt_mm=3.0))
+    expected, sure = brute_force(phantom, mesh, mesh.nodes + displacement + [0, 0, 5.6], whole.grid)
+    full = Phantom(np.ones_like(labels), phantom.grid)
+    inside, _ = brute_force(full, mesh, mesh.nodes + displacement + [0, 0, 5.6], whole.grid)
+    check = sure & (inside != 0)
+    assert np.count_nonzero(check & (expected == 0)) > 800
+    assert np.array_equal(whole.labels[check], expected[check])
+
+
+def test_voxel_centres_on_shared_faces_and_edges():
+    """Planes of nodes through voxel centres: no voxel falls between two tetrahedra."""
+    size = (24.0, 20.0, 15.0)
+    phantom, inside = box_phantom(size)
+    mesh = box_mesh(size, cells=(16, 8, 6), jitter=0.0)
+    for stretch in ([1.0, 1.0, 1.0], [1.0, 1.2, 0.6]):
+        plates = (-7.5 * stretch[2], 7.5 * stretch[2])
+        out = deform(phantom, mesh, compression_of(mesh.nodes * (np.array(stretch) - 1), plates), NO_SKIRT)
+        z = out.grid.centres("z") < 15.0 * stretch[2]
+        y = np.abs(out.grid.centres("y")) < 10.0 * stretch[1]
+        assert out.labels[np.ix_(z, y, np.arange(24))].all()
+        if stretch[2] == 1.0:
+            assert np.array_equal(out.labels, inside)
+
+
 def test_volume_of_a_bent_body_is_that_of_its_mesh():
     mesh = half_ball()
     phantom = ball_phantom()
@@ -230,6 +265,14 @@ def test_inverted_tetrahedra_are_refused():
     with pytest.raises(SolverError, match="inverted") as caught:
         deform(phantom, mesh, compression_of(displacement, (-8.0, 8.0)), WarpSpec())
     assert caught.value.code == "inverted-element"
+
+
+def test_skin_that_is_not_of_the_mesh_is_refused():
+    mesh = box_mesh()
+    phantom, _ = box_phantom()
+    strange = TetMesh(mesh.nodes, mesh.tets, mesh.wall, np.array([[0, 1, len(mesh.nodes) - 1]]))
+    with pytest.raises(MeshError, match="skin"):
+        deform(phantom, strange, compression_of(np.zeros_like(mesh.nodes), (-8.0, 8.0)), WarpSpec())
 
 
 def test_same_bytes_for_any_number_of_threads():
