@@ -229,22 +229,33 @@ def _trilinear(
     nz, ny, nx = labels.shape
     dx, dy, dz = direction
     length = math.sqrt(dx * dx + dy * dy + dz * dz)
+    # Positions in voxel units at radius 0, and their change from sample to sample; voxel centres are integers.
+    x, step_x = (source[0] - low[0]) / edge[0] - 0.5, dx / length * step_mm / edge[0]
+    y, step_y = (source[1] - low[1]) / edge[1] - 0.5, dy / length * step_mm / edge[1]
+    z, step_z = (source[2] - low[2]) / edge[2] - 0.5, dz / length * step_mm / edge[2]
     total = 0.0
     for m in range(math.ceil(enter * length / step_mm - 0.5), math.ceil(leave * length / step_mm - 0.5)):
-        t = (m + 0.5) * step_mm / length
-        i0, i1, a = _neighbours((source[0] + t * dx - low[0]) / edge[0] - 0.5, nx)
-        j0, j1, b = _neighbours((source[1] + t * dy - low[1]) / edge[1] - 0.5, ny)
-        k0, k1, c = _neighbours((source[2] + t * dz - low[2]) / edge[2] - 0.5, nz)
-        at00 = (1.0 - a) * mu[labels[k0, j0, i0]] + a * mu[labels[k0, j0, i1]]
-        at01 = (1.0 - a) * mu[labels[k0, j1, i0]] + a * mu[labels[k0, j1, i1]]
-        at10 = (1.0 - a) * mu[labels[k1, j0, i0]] + a * mu[labels[k1, j0, i1]]
-        at11 = (1.0 - a) * mu[labels[k1, j1, i0]] + a * mu[labels[k1, j1, i1]]
-        total += (1.0 - c) * ((1.0 - b) * at00 + b * at01) + c * ((1.0 - b) * at10 + b * at11)
+        i0, i1, a = _neighbours(x + (m + 0.5) * step_x, nx)
+        j0, j1, b = _neighbours(y + (m + 0.5) * step_y, ny)
+        k0, k1, c = _neighbours(z + (m + 0.5) * step_z, nz)
+        l000, l001 = labels[k0, j0, i0], labels[k0, j0, i1]
+        l010, l011 = labels[k0, j1, i0], labels[k0, j1, i1]
+        l100, l101 = labels[k1, j0, i0], labels[k1, j0, i1]
+        l110, l111 = labels[k1, j1, i0], labels[k1, j1, i1]
+        # Most samples lie within one tissue.
+        differ = (l000 ^ l001) | (l000 ^ l010) | (l000 ^ l011) | (l000 ^ l100)
+        if (differ | (l000 ^ l101) | (l000 ^ l110) | (l000 ^ l111)) == 0:
+            total += mu[l000]
+            continue
+        lower = (1.0 - b) * ((1.0 - a) * mu[l000] + a * mu[l001]) + b * ((1.0 - a) * mu[l010] + a * mu[l011])
+        upper = (1.0 - b) * ((1.0 - a) * mu[l100] + a * mu[l101]) + b * ((1.0 - a) * mu[l110] + a * mu[l111])
+        total += (1.0 - c) * lower + c * upper
     return total * step_mm
 
 
 @numba.njit(cache=True)
-def _neighbours(cells: float, size: int) -> tuple[int, int, float]:
-    """The two voxel centres around a position in voxel units, and the weight of the second."""
-    index = math.floor(cells)
-    return min(max(index, 0), size - 1), min(max(index + 1, 0), size - 1), cells - index
+def _neighbours(cells: float, size: int) -> tuple[np.uint64, np.uint64, float]:
+    """The two voxel centres around a position >= -0.5 in voxel units, and the weight of the second."""
+    index = int(cells + 1.0) - 1
+    # Unsigned: an index that cannot be negative needs no check for counting from the end.
+    return np.uint64(max(index, 0)), np.uint64(min(index + 1, size - 1)), cells - index
