@@ -5,6 +5,7 @@ import threading
 
 import pytest
 
+from api.events import _ended
 from worker.jobs import StageProgress
 
 
@@ -59,6 +60,12 @@ def test_a_live_stream_ends_with_the_case(client, post, served, monkeypatch):
     thread.join()
     assert [data["state"] for *_, data in parse(text)] == ["queued", "cancelled"]
     assert ": still here" in text
+
+
+def test_the_end_is_told_before_the_stream_ends(served, case):
+    """The case may end between the look at its events and the look at its state."""
+    assert not _ended(served.jobs, case["id"], 3)
+    assert _ended(served.jobs, case["id"], 4)
 
 
 def test_a_retried_case_goes_on(client, case, served, monkeypatch):

@@ -152,7 +152,7 @@ def test_list_by_state(client, post, done):
     assert listed == {"queued": [waiting], "failed": []}
 
 
-@pytest.mark.parametrize("cursor", ["nonsense", "", "e30", "W10", "WyJhIiwgMV0", "a" * 5000, "%00"])
+@pytest.mark.parametrize("cursor", ["nonsense", "", "e30", "W10", "WyJhIiwgMV0", "W05hTiwgImEiXQ", "a" * 5000, "%00"])
 def test_bad_cursor(client, is_problem, cursor):
     is_problem(client.get(f"/v1/simulations?cursor={cursor}"), 400, "bad-cursor")
 

@@ -1,9 +1,10 @@
 """A pipeline for tests of the service: two stages, and whatever misbehaviour the name of the case asks for.
 
-slow      four seconds of work in steps         forever   does not come to an end
-crash     kills its own process with SIGSEGV     memory    asks for more memory than there is
-refuse    raises a SolverError                   mistake   raises a KeyError
-noise     prints to standard output              once      crashes unless its marker file is there
+slow      four seconds of work in steps       forever   does not come to an end
+silent    sleeps and tells nothing            noise     prints to standard output
+crash     kills its own process (SIGSEGV)     memory    asks for more memory than there is
+gigabyte  fills a gigabyte of memory          refuse    raises a SolverError
+mistake   raises a KeyError
 """
 
 import json
@@ -81,6 +82,8 @@ def misbehave(name: str, progress: Any) -> None:
         bytearray(1_000_000_000)
     if name == "crash":
         os.kill(os.getpid(), signal.SIGSEGV)
+    if name == "silent":
+        time.sleep(600)
     if name in ("slow", "forever"):
         step = 0
         while name == "forever" or step < 40:

@@ -250,6 +250,8 @@ def test_compute_process_dies_with_its_parent(make_settings):
         "import sys, time; from worker.compute_process import ComputeProcess; from worker.settings import Settings\n"
         "process = ComputeProcess(Settings.load())\n"
         "while not process.ready: process.receive(1)\n"
+        "process.run({'name': 'silent'})\n"  # it does not see that nobody listens any more
+        "while (process.receive(60) or {}).get('stage') != 'preview': pass\n"
         "print(process.pid, flush=True); time.sleep(600)"
     )
     env = environment(make_settings())
