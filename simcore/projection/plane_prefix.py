@@ -26,6 +26,7 @@ from numpy.typing import NDArray
 from simcore.core.geometry import AcquisitionGeometry
 from simcore.core.grid import Grid
 from simcore.core.tissues import MAX_TISSUES
+from simcore.projection.crossings import Columns, Crossings, crossings_of
 from simcore.projection.schedule import spread
 
 ROWS_PER_TILE = 16
@@ -34,7 +35,7 @@ CODES_PER_GROUP = 4
 FAST = {"contract", "nsz", "nnan", "ninf", "arcp"}
 
 
-# Plain tuples, not named ones, for numba cannot hand these to its threads.
+# Plain tuples, for numba cannot hand named ones to its threads.
 
 Voxels = tuple[NDArray[np.uint8], NDArray[np.int32], NDArray[np.uint8], NDArray[np.float32]]
 """labels (nz, ny, nx); ends (nz, ny), see ``coverage.row_ends``; codes and values, see ``_codes``."""
@@ -43,20 +44,10 @@ Rows = tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64], NDAr
 """What the rays of a detector row have in common, each (rows,): bottom_y and top_y, where they enter and leave the
 volume's slices along y, in voxels; stretch, the pixel pitch on z = 0 relative to that on the detector; dy / dz."""
 
-Columns = tuple[NDArray[np.float64], float, float, float, float]
-"""Along x. At height z a ray is at the x cell source_cell + slope share(z), share(z) = (source_z - z) / source_z, with
-slope = stretch pixel_x / edge. (pixel_x (pixels,) from the source, mm; edge of a voxel, mm; source_cell; share at the
-bottom of the volume; decrease of share from slice to slice)."""
-
-Crossings = tuple[NDArray[np.uint32], NDArray[np.uint32], NDArray[np.uint32], NDArray[np.float32], NDArray[np.int32]]
-"""Where the rays of a row cross the boundaries between voxel columns, slice by slice: start (slices + 1,) of each
-slice in the three lists pixel, boundary and fraction (of the slice's height); within a slice pixels and so boundaries
-ascend. Last (pixels,): the column at the top of the volume."""
-
 
 def serves(geometry: AcquisitionGeometry, view: int) -> bool:
     """True where x falls from every pixel to the source: the source not beyond the chest-wall edge."""
-    return bool(geometry.sources[view, 0] <= geometry.detector.pixel / 2)
+    return bool(geometry.sources[view, 0] < geometry.detector.pixel / 2)
 
 
 def project_planes(
@@ -122,7 +113,7 @@ def _project(
     stretch = rows[2]
     tangent_x = columns[0] / source_z
     squared = (tangent_x * tangent_x).astype(np.float32)
-    shared = _crossings(columns, stretch[0], labels.shape[0], ends.max() if tile_rows > 1 else -1)
+    shared = crossings_of(columns, stretch[0], labels.shape[0], ends.max() if tile_rows > 1 else -1)
     for task in numba.prange(len(order)):
         first_row = order[task] * tile_rows
         last_row = min(first_row + tile_rows, len(stretch))
@@ -134,56 +125,9 @@ def _project(
                 _run_tile(voxels, rows, shared, first_row, last_row, prefix, out)
                 _finish(prefix, rows, shared, squared, edge_z, first_row, out)
             else:
-                own = _crossings(columns, stretch[first_row], labels.shape[0], reach)
+                own = crossings_of(columns, stretch[first_row], labels.shape[0], reach)
                 _run_tile(voxels, rows, own, first_row, last_row, prefix, out)
                 _finish(prefix, rows, own, squared, edge_z, first_row, out)
-
-
-@numba.njit(cache=True, error_model="numpy")
-def _crossings(columns: Columns, stretch: float, slices: int, boundaries: int) -> Crossings:
-    """The crossings of the boundaries 0..``boundaries`` by the rays of a row with the pitch ``stretch``."""
-    pixel_x, edge, source_cell, share_bottom, share_step = columns
-    slopes = pixel_x * (stretch / edge)
-    pixels = len(slopes)
-    start = np.zeros(slices + 1, np.uint32)
-    last = np.full(pixels, -1, np.int32)
-    total = 0
-    pixel = np.empty(0, np.uint32)
-    boundary = np.empty(0, np.uint32)
-    fraction = np.empty(0, np.float32)
-    position = np.zeros(slices, np.int64)
-    for fill in range(2):
-        if fill == 1:
-            for k in range(slices):
-                position[k] = total
-                total += start[k + 1]
-                start[k + 1] = total
-            pixel = np.empty(total, np.uint32)
-            boundary = np.empty(total, np.uint32)
-            fraction = np.empty(total, np.float32)
-        for v in range(pixels):
-            bottom = source_cell + slopes[v] * share_bottom
-            top = source_cell + slopes[v] * (share_bottom - slices * share_step)
-            slices_per_column = 1.0 / (slopes[v] * share_step)
-            lowest = -1
-            for b in range(max(0, math.ceil(top)), min(boundaries, math.floor(bottom)) + 1):
-                height = (bottom - b) * slices_per_column
-                if height >= slices:
-                    continue
-                if lowest < 0:
-                    lowest = b
-                if height <= 0.0:
-                    continue
-                k = int(height)
-                if fill == 0:
-                    start[k + 1] += np.uint32(1)
-                else:
-                    at = position[k]
-                    position[k] += 1
-                    pixel[at], boundary[at], fraction[at] = v, b, height - k
-            # From the list itself: rounding must not make the column at the top disagree with the crossings.
-            last[v] = lowest - 1 if lowest >= 0 else min(math.floor(bottom), 2**30)
-    return start, pixel, boundary, fraction, last
 
 
 @numba.njit(cache=True)
