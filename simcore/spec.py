@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from typing import Any, Self
+from typing import Any, Self, get_args
 
 from pydantic import Field, ValidationError
 
@@ -49,15 +49,26 @@ class SimulationSpec(Spec):
         return cls.parse(json.dumps(data))
 
 
-def _fields_at(model: type[Spec], path: tuple[int | str, ...]) -> list[str]:
-    """The valid field names of the (sub-)model at ``path``; empty where it is not a model."""
+def _members(annotation: Any) -> dict[str, type[Spec]]:
+    """The models of a union by their ``kind``; empty where it is no union."""
+    return {m.model_fields["kind"].default: m for m in get_args(annotation) if "kind" in getattr(m, "model_fields", {})}
+
+
+def _walk(model: type[Spec], location: tuple[int | str, ...]) -> tuple[list[str], Any]:
+    """The path of a field as the client wrote it (pydantic adds the kind of a union's member), and what stands there.
+
+    The model is None where the path leads to no model.
+    """
+    path: list[str] = []
     current: Any = model
-    for step in path:
+    for step in location:
+        if (member := _members(current).get(str(step))) is not None:
+            current = member
+            continue
+        path.append(str(step))
         field = getattr(current, "model_fields", {}).get(step)
-        if field is None:
-            return []
-        current = field.annotation
-    return sorted(getattr(current, "model_fields", {}))
+        current = field.annotation if field is not None else None
+    return path, current
 
 
 def spec_error(model: type[Spec], error: ValidationError) -> SpecError:
@@ -65,11 +76,11 @@ def spec_error(model: type[Spec], error: ValidationError) -> SpecError:
     problems: list[dict[str, Any]] = []
     lines: list[str] = []
     for item in error.errors(include_url=False):
-        path = tuple(item["loc"])
-        field = ".".join(map(str, path)) or "(the whole specification)"
+        location = tuple(item["loc"])
+        field = ".".join(_walk(model, location)[0]) or "(the whole specification)"
         message = item["msg"]
         if item["type"] == "extra_forbidden":
-            valid = _fields_at(model, path[:-1])
+            valid = sorted(getattr(_walk(model, location[:-1])[1], "model_fields", {}))
             message = "unknown field" + (f"; valid here: {', '.join(valid)}" if valid else "")
         given = item.get("input") if item["type"] not in ("missing", "json_invalid") else None
         value = given if isinstance(given, str | int | float | bool) else None

@@ -1,13 +1,16 @@
 """Specifications: strict, frozen, every number with a unit; bad ones are refused with what is allowed."""
 
 import json
+import re
+from typing import Annotated, Literal
 
 import pytest
-from pydantic import BaseModel
+from pydantic import BaseModel, Field, ValidationError
 
 from simcore import estimate, presets
 from simcore.core.errors import ResourceLimitError, SpecError
-from simcore.spec import SimulationSpec
+from simcore.core.spec_base import Spec
+from simcore.spec import SimulationSpec, spec_error
 
 
 @pytest.mark.parametrize("name", presets.names())
@@ -49,6 +52,34 @@ def test_bad_values_are_refused_with_field_value_and_what_is_allowed(change, sai
         SimulationSpec.from_dict(change)
     assert caught.value.kind == "user"
     assert len(caught.value.problems) == 1
+
+
+class Round(Spec):
+    kind: Literal["round"] = "round"
+    radius: float = Field(1.0, gt=0)
+
+
+class Square(Spec):
+    kind: Literal["square"] = "square"
+    edge: float = Field(1.0, gt=0)
+
+
+class Drawing(Spec):
+    shape: Annotated[Round | Square, Field(discriminator="kind")] = Round()
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ('{"shape": {"kind": "square", "edge": -1}}', r"shape\.edge = -1: "),
+        ('{"shape": {"kind": "round", "edge": 1}}', r"shape\.edge = 1: unknown field; valid here: kind, radius"),
+        ('{"shape": {"kind": "oval"}}', r"shape: .*'oval'.*'round', 'square'"),
+    ],
+)
+def test_problems_inside_a_union_have_the_path_the_client_wrote(text: str, said: str):
+    with pytest.raises(ValidationError) as caught:
+        Drawing.model_validate_json(text)
+    assert re.search(said, str(spec_error(Drawing, caught.value)))
 
 
 def test_all_problems_are_told_at_once():

@@ -1,0 +1,48 @@
+"""What the documentation says is there: settings, links, presets, commands."""
+
+import re
+from pathlib import Path
+
+import pytest
+
+from simcore import presets
+from tomosim.cli import _parser
+from worker.settings import Settings
+
+ROOT = Path(__file__).parents[2]
+PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda p: p.name)
+def test_links_lead_somewhere(page: Path):
+    for target in re.findall(r"\]\(([^)#]+)\)", page.read_text()):
+        if "://" not in target:
+            assert (page.parent / target).exists(), target
+
+
+def test_every_setting_is_documented():
+    text = (ROOT / "docs" / "service.md").read_text()
+    documented = set(re.findall(r"^\| `TOMOSIM_([A-Z_]+)`", text, re.MULTILINE))
+    assert documented == {name.upper() for name in Settings.model_fields}
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda p: p.name)
+def test_commands_on_the_pages_exist(page: Path):
+    blocks = re.findall(r"```sh\n(.*?)```", page.read_text(), re.DOTALL)
+    for line in "\n".join(blocks).splitlines():
+        words = line.split("#")[0].replace(".venv/bin/", "").split()
+        if not words or words[0] != "tomosim":
+            continue
+        arguments = words[1 : words.index(">")] if ">" in words else words[1:]
+        args = _parser().parse_args(arguments)
+        if getattr(args, "name", None):
+            assert args.name in presets.names()
+
+
+def test_the_python_example_of_the_readme_runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys):
+    code = re.search(r"```python\n(.*?)```", (ROOT / "README.md").read_text(), re.DOTALL)
+    assert code is not None
+    monkeypatch.chdir(tmp_path)
+    exec(compile(code[1], "README.md", "exec"), {})
+    assert re.fullmatch(r"\d+\.\d+ N\n", capsys.readouterr().out)
+    assert (tmp_path / "case" / "manifest.json").exists()
