@@ -1,4 +1,4 @@
-"""Element kernels: internal force, tangent stiffness and volume of linear tetrahedra, total Lagrangian.
+"""Neo-Hookean element kernel: internal force, tangent stiffness and volume of linear tetrahedra, total Lagrangian.
 
 Energy: sum over elements of V_e W_iso(F_e) plus sum over nodes of V_a kappa_a U(Jbar_a), where Jbar_a is the volume
 ratio averaged over the tetrahedra around node a. With the pressure p_a = kappa_a U'(Jbar_a) as an independent unknown:
@@ -12,92 +12,20 @@ Holzapfel, Nonlinear Solid Mechanics (2000), chapter 6, for the isochoric split.
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
-Array = NDArray[Any]
-
-
-@njit(cache=True, nogil=True)
-def _cross(a: Array, b: Array, out: Array) -> None:
-    out[0] = a[1] * b[2] - a[2] * b[1]
-    out[1] = a[2] * b[0] - a[0] * b[2]
-    out[2] = a[0] * b[1] - a[1] * b[0]
+from simcore.fem.element import Array, deformation_gradient, inverse_transpose
 
 
 @njit(cache=True, nogil=True)
-def shape_gradients(nodes: Array, tets: Array) -> tuple[Array, Array]:
-    """(gradients (m, 4, 3), 1/mm; volumes (m,), mm^3, positive whatever the orientation)."""
-    count = tets.shape[0]
-    gradients, volumes = np.empty((count, 4, 3)), np.empty(count)
-    edge = np.empty((3, 3))
-    for e in range(count):
-        for k in range(3):
-            for i in range(3):
-                edge[k, i] = nodes[tets[e, k + 1], i] - nodes[tets[e, 0], i]
-        _cross(edge[1], edge[2], gradients[e, 1])
-        _cross(edge[2], edge[0], gradients[e, 2])
-        _cross(edge[0], edge[1], gradients[e, 3])
-        six_volumes = 0.0
-        for i in range(3):
-            six_volumes += edge[0, i] * gradients[e, 1, i]
-        volumes[e] = abs(six_volumes) / 6
-        for i in range(3):
-            gradients[e, 0, i] = 0.0
-            for k in range(1, 4):
-                gradients[e, k, i] /= six_volumes
-                gradients[e, 0, i] -= gradients[e, k, i]
-    return gradients, volumes
-
-
-@njit(cache=True, nogil=True)
-def _deformation_gradient(displacement: Array, tet: Array, gradient: Array, F: Array) -> float:
-    """F = 1 + sum u_a (x) grad N_a; returns its determinant."""
-    for i in range(3):
-        for j in range(3):
-            s = 0.0
-            for a in range(4):
-                s += displacement[tet[a], i] * gradient[a, j]
-            F[i, j] = s
-        F[i, i] += 1.0
-    return float(
-        F[0, 0] * (F[1, 1] * F[2, 2] - F[1, 2] * F[2, 1])
-        + F[0, 1] * (F[1, 2] * F[2, 0] - F[1, 0] * F[2, 2])
-        + F[0, 2] * (F[1, 0] * F[2, 1] - F[1, 1] * F[2, 0])
-    )
-
-
-@njit(cache=True, nogil=True)
-def _inverse_transpose(F: Array, det: float, out: Array) -> None:
-    _cross(F[1], F[2], out[0])
-    _cross(F[2], F[0], out[1])
-    _cross(F[0], F[1], out[2])
-    for i in range(3):
-        for j in range(3):
-            out[i, j] /= det
-
-
-@njit(cache=True, nogil=True)
-def volume_ratios(displacement: Array, tets: Array, gradients: Array) -> Array:
-    """det F of each element, (m,)."""
-    F = np.empty((3, 3))
-    ratios = np.empty(tets.shape[0])
-    for e in range(tets.shape[0]):
-        ratios[e] = _deformation_gradient(displacement, tets[e], gradients[e], F)
-    return ratios
-
-
-@njit(cache=True, nogil=True)
-def assemble(
+def assemble_neo_hookean(
     displacement: Array,
     pressure: Array,
     tets: Array,
     gradients: Array,
     volumes: Array,
-    parameters: Array,
+    shear_moduli: Array,
     block_of: Array,
     with_tangent: bool,
     force: Array,
@@ -108,6 +36,7 @@ def assemble(
 ) -> float:
     """Internal force and tangent; the last five arguments are overwritten.
 
+    shear_moduli: (m,), N/mm^2.
     force: (n, 3), N. node_volume: (n,) deformed volume around the nodes, mm^3.
     stiffness: (blocks, 3, 3) dR_a/du_b of the upper half. coupling_upper: (blocks, 3) dR_a/dp_b,
     coupling_lower: (blocks, 3) dR_b/dp_a. with_tangent: False leaves these three alone.
@@ -124,11 +53,11 @@ def assemble(
     smallest = np.inf
     for e in range(tets.shape[0]):
         tet, gradient, volume = tets[e], gradients[e], volumes[e]
-        J = _deformation_gradient(displacement, tet, gradient, F)
+        J = deformation_gradient(displacement, tet, gradient, F)
         smallest = min(smallest, J)
         if not J > 0.0:
             return float(J)
-        _inverse_transpose(F, J, inverse)
+        inverse_transpose(F, J, inverse)
         I1 = 0.0
         for i in range(3):
             for j in range(3):
@@ -139,9 +68,8 @@ def assemble(
                 q[a, i] = (
                     inverse[i, 0] * gradient[a, 0] + inverse[i, 1] * gradient[a, 1] + inverse[i, 2] * gradient[a, 2]
                 )
-        # Neo-Hookean: W_iso = mu/2 (J^(-2/3) I1 - 3). Another law changes mu below to 2 dW/dI1 and adds
-        # its second derivative to the tangent.
-        shear = parameters[e, 0] * J ** (-2.0 / 3.0)
+        # W_iso = mu/2 (J^(-2/3) I1 - 3)
+        shear = shear_moduli[e] * J ** (-2.0 / 3.0)
         element_pressure = J * 0.25 * (pressure[tet[0]] + pressure[tet[1]] + pressure[tet[2]] + pressure[tet[3]])
         quarter = 0.25 * volume * J
         spherical = element_pressure - shear * I1 / 3.0

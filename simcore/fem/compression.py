@@ -8,8 +8,10 @@ from simcore.core.artifacts import Compression, Phantom, TetMesh
 from simcore.core.errors import SolverError
 from simcore.core.progress import Progress, part
 from simcore.fem.contact import Contact, Plates
+from simcore.fem.laws import ElementLaws
 from simcore.fem.linear import Guard
-from simcore.fem.model import Model, element_parameters
+from simcore.fem.model import Model
+from simcore.fem.path import Target, follow
 from simcore.fem.report import report, verify
 from simcore.fem.solver import Solver
 from simcore.fem.spec import CompressionSpec
@@ -23,12 +25,12 @@ def compress_mesh(mesh: TetMesh, phantom: Phantom, spec: CompressionSpec, progre
             f"the mesh has {len(mesh.wall)} chest-wall nodes, some not at x = 0: at least 3 exactly there are needed",
             code="no-chest-wall",
         )
-    model = Model.of(mesh, element_parameters(mesh, phantom, spec.material))
+    model = Model.of(mesh, ElementLaws.homogeneous(spec.material.law(), len(mesh.tets)))
     fixed = np.zeros(mesh.nodes.shape, dtype=bool)
     fixed[mesh.wall, 0] = True
     solver = Solver(model, fixed, Guard.against_roll(mesh.nodes, mesh.wall), spec.tolerance)
     contact = Contact.none(mesh.skin, len(mesh.nodes))
-    solution = solver.compress(contact, spec.percent, spec.load_steps, part(progress, 0.05, 0.98))
+    solution = follow(solver, contact, Target(spec.percent), spec.load_steps, part(progress, 0.05, 0.98))
     plates = Plates.at(mesh.nodes[:, 2], spec.percent)
     verify(solver, solution, plates)
     facts = report(mesh, solver, solution, plates)

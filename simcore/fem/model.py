@@ -8,12 +8,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from simcore.core.artifacts import Phantom, TetMesh
-from simcore.fem.assembly import shape_gradients
-from simcore.fem.materials.law import ConstitutiveLaw
+from simcore.core.artifacts import TetMesh
+from simcore.fem.assembly import assemble_neo_hookean
+from simcore.fem.element import shape_gradients
+from simcore.fem.laws import ElementLaws
+from simcore.fem.linear_strain import assemble_linear_strain
+from simcore.fem.principal import assemble_principal
 
 Floats = NDArray[np.float64]
-_N_PER_KPA_MM2 = 1e-3
 _UPPER_PAIRS = [(a, b) for a in range(4) for b in range(a, 4)]
 
 
@@ -43,12 +45,40 @@ class Pattern:
 
 
 @dataclass(frozen=True, eq=False)
+class System:
+    """Assembled arrays, overwritten by ``Model.assemble``.
+
+    force: (n, 3) internal force, N. node_volume: (n,) deformed volume around the nodes, mm^3.
+    stiffness: (blocks, 3, 3) dR_a/du_b of the upper half. coupling_upper, coupling_lower: (blocks, 3), dR_a/dp_b and
+    dR_b/dp_a.
+    """
+
+    force: Floats
+    node_volume: Floats
+    stiffness: Floats
+    coupling_upper: Floats
+    coupling_lower: Floats
+
+    @classmethod
+    def empty(cls, node_count: int, block_count: int) -> System:
+        return cls(
+            np.empty((node_count, 3)),
+            np.empty(node_count),
+            np.empty((block_count, 3, 3)),
+            np.empty((block_count, 3)),
+            np.empty((block_count, 3)),
+        )
+
+    def arrays(self) -> tuple[Floats, ...]:
+        return self.force, self.node_volume, self.stiffness, self.coupling_upper, self.coupling_lower
+
+
+@dataclass(frozen=True, eq=False)
 class Model:
     """Linear tetrahedra with a pressure at every node.
 
     nodes: (n, 3), mm. tets: int64 (m, 4), each row ascending (so of any orientation).
     gradients: (m, 4, 3) of the shape functions, 1/mm. volumes: (m,), mm^3.
-    parameters: (m, 2) shear and bulk modulus of each element, N/mm^2.
     node_volume: (n,), a quarter of the tetrahedra around each node, mm^3.
     node_bulk: (n,) bulk modulus averaged over the same volume, N/mm^2.
     """
@@ -57,41 +87,60 @@ class Model:
     tets: NDArray[np.int64]
     gradients: Floats
     volumes: Floats
-    parameters: Floats
+    laws: ElementLaws
     node_volume: Floats
     node_bulk: Floats
     pattern: Pattern
 
     @classmethod
-    def of(cls, mesh: TetMesh, parameters: Floats) -> Model:
-        """parameters: (m, 2) shear and bulk modulus of each element, kPa."""
+    def of(cls, mesh: TetMesh, laws: ElementLaws) -> Model:
         count = len(mesh.nodes)
         tets = np.sort(mesh.tets, axis=1)
         gradients, volumes = shape_gradients(mesh.nodes, tets)
-        stress = parameters * _N_PER_KPA_MM2
         node_volume = _lumped(tets, volumes, count)
         return cls(
             nodes=mesh.nodes,
             tets=tets,
             gradients=gradients,
             volumes=volumes,
-            parameters=stress,
+            laws=laws,
             node_volume=node_volume,
-            node_bulk=_lumped(tets, volumes * stress[:, 1], count) / node_volume,
+            node_bulk=_lumped(tets, volumes * laws.bulk, count) / node_volume,
             pattern=Pattern.of(tets, count),
         )
 
+    def system(self) -> System:
+        return System.empty(len(self.nodes), len(self.pattern.column))
+
+    def assemble(self, displacement: Floats, pressure: Floats, system: System, *, with_tangent: bool = True) -> float:
+        """Forces, volumes and, if asked for, the tangent of a state into ``system``.
+
+        displacement: (n, 3), mm. pressure: (n,), N/mm^2.
+        returns: the smallest det F; where it is not positive nothing else is of use.
+        """
+        body = (displacement, pressure, self.tets, self.gradients, self.volumes)
+        rest = (self.pattern.block_of, with_tangent, *system.arrays())
+        laws = self.laws
+        if laws.linear_strain:
+            return float(assemble_linear_strain(*body, laws.shear, laws.st_venant_kirchhoff, *rest))
+        if laws.neo_hookean:
+            return float(assemble_neo_hookean(*body, laws.shear, *rest))
+        return float(assemble_principal(*body, laws.kinds, laws.coefficients, laws.fractions, *rest))
+
+    def internal_force(self, displacement: Floats, pressure: Floats) -> Floats:
+        """Nodal forces of a state, (n, 3), N."""
+        system = System.empty(len(self.nodes), 0)
+        self.assemble(displacement, pressure, system, with_tangent=False)
+        return system.force
+
     def volume_ratio_of_pressure(self, pressure: Floats) -> tuple[Floats, Floats]:
         """(J, dJ/dp) at the nodes, the inverse of p = kappa U'(J) = kappa/2 (J - 1/J); pressure in N/mm^2, positive
-        in tension."""
+        in tension. Laws of linear strain: 1 + tr(E) with p = kappa tr(E)."""
         t = pressure / self.node_bulk
+        if self.laws.linear_strain:
+            return 1 + t, 1 / self.node_bulk
         root = np.sqrt(t * t + 1)
         return t + root, (1 + t / root) / self.node_bulk
-
-
-def element_parameters(mesh: TetMesh, phantom: Phantom, law: ConstitutiveLaw) -> Floats:
-    """(m, 2) shear and bulk modulus of each element, kPa: one homogeneous law."""
-    return np.tile(np.array(law.moduli()), (len(mesh.tets), 1))
 
 
 def _lumped(tets: NDArray[np.int64], values: NDArray[Any], node_count: int) -> Floats:

@@ -7,23 +7,13 @@ from numpy.typing import NDArray
 
 from simcore.core.artifacts import Report, TetMesh
 from simcore.core.errors import SolverError
-from simcore.fem.assembly import assemble, volume_ratios
 from simcore.fem.contact import FREE, LOWER, MAX_PULL, UPPER, Plates
-from simcore.fem.model import Floats, Model
-from simcore.fem.solver import GAP_MM, Solution, Solver
+from simcore.fem.element import volume_ratios
+from simcore.fem.model import Floats
+from simcore.fem.path import Solution
+from simcore.fem.solver import GAP_MM, Solver
 
 _BALANCE = 1e-3
-
-
-def internal_force(model: Model, displacement: Floats, pressure: Floats) -> Floats:
-    """Nodal forces of the present state, (n, 3), N."""
-    force, node_volume = np.empty_like(displacement), np.empty(len(displacement))
-    nothing3, nothing = np.empty((0, 3, 3)), np.empty((0, 3))
-    assemble(
-        displacement, pressure, model.tets, model.gradients, model.volumes, model.parameters,
-        model.pattern.block_of, False, force, node_volume, nothing3, nothing, nothing,
-    )  # fmt: skip
-    return force
 
 
 def verify(solver: Solver, solution: Solution, plates: Plates) -> None:
@@ -32,7 +22,7 @@ def verify(solver: Solver, solution: Solution, plates: Plates) -> None:
     raises: SolverError, code "not-converged" or "inverted-element"
     """
     model, state = solver.model, solution.state
-    force = internal_force(model, state.displacement, state.pressure)
+    force = model.internal_force(state.displacement, state.pressure)
     free = ~solver.fixed
     free[state.contact.status != FREE, 2] = False
     z = model.nodes[:, 2] + state.displacement[:, 2]
@@ -66,12 +56,12 @@ def report(mesh: TetMesh, solver: Solver, solution: Solution, plates: Plates) ->
     ratios = volume_ratios(state.displacement, model.tets, model.gradients)
     deformed = model.nodes + state.displacement
     last = solution.steps[-1]
-    mean = 0.5 * (last.force_lower + last.force_upper)
+    mean = last.force
     area_lower, area_upper = (
         _contact_area(deformed, mesh.skin, state.contact.status == plate) for plate in (LOWER, UPPER)
     )
     area = 0.5 * (area_lower + area_upper)
-    force = internal_force(model, state.displacement, state.pressure)
+    force = model.internal_force(state.displacement, state.pressure)
     drift, roll = _guarded(mesh, force)
     return {
         "percent": last.percent,
@@ -81,8 +71,7 @@ def report(mesh: TetMesh, solver: Solver, solution: Solution, plates: Plates) ->
         "force_upper_N": last.force_upper,
         "force_lower_N": last.force_lower,
         "force_balance": abs(last.force_upper - last.force_lower) / max(mean, 1e-12),
-        "force_curve": [{"percent": 0.0, "force_N": 0.0}]
-        + [{"percent": s.percent, "force_N": 0.5 * (s.force_lower + s.force_upper)} for s in solution.steps],
+        "force_curve": solution.force_curve,
         "contact_nodes": {
             "lower": int(np.count_nonzero(state.contact.status == LOWER)),
             "upper": int(np.count_nonzero(state.contact.status == UPPER)),

@@ -1,17 +1,15 @@
-"""Newton's method for one load step, and the load steps."""
+"""Newton's method for one load step."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
 
-from simcore.core.errors import SolverError
-from simcore.core.progress import Progress, silent
-from simcore.fem.assembly import assemble, volume_ratios
 from simcore.fem.contact import FREE, MAX_PULL, Contact, Plates
+from simcore.fem.element import volume_ratios
 from simcore.fem.linear import Guard, Tangent
 from simcore.fem.model import Floats, Model
 
@@ -20,8 +18,6 @@ GAP_MM = 1e-6
 SMALLEST_VOLUME_STEP = 0.3
 """An iteration may not shrink an element below this share of its present volume."""
 SHORTEST_STEP = 1e-3
-SMALLEST_LOAD_STEP = 0.2
-"""Percent of the uncompressed thickness."""
 _FIRST_CG_TOLERANCE = 1e-2
 _LAST_CG_TOLERANCE = 1e-4
 _EXACT_FROM = 6
@@ -36,6 +32,11 @@ class State:
     pressure: Floats
     contact: Contact
 
+    @classmethod
+    def rest(cls, contact: Contact) -> State:
+        n = len(contact.status)
+        return cls(np.zeros((n, 3)), np.zeros(n), contact)
+
 
 @dataclass(frozen=True, eq=False)
 class LoadStep:
@@ -47,6 +48,11 @@ class LoadStep:
     residual: float
     newton_iterations: int
 
+    @property
+    def force(self) -> float:
+        """Mean of the two plates, N."""
+        return 0.5 * (self.force_lower + self.force_upper)
+
 
 @dataclass
 class Counters:
@@ -54,16 +60,7 @@ class Counters:
     cg: int = 0
 
 
-@dataclass(frozen=True, eq=False)
-class Solution:
-    """The last state, the load steps that led to it, and what they took."""
-
-    state: State
-    steps: list[LoadStep]
-    counters: Counters
-
-
-class _StepFailed(Exception):
+class StepFailed(Exception):
     """code: what a SolverError would carry if there were no shorter load step to try."""
 
     def __init__(self, code: str) -> None:
@@ -85,47 +82,17 @@ class Solver:
     tolerance: float
     counters: Counters = field(default_factory=Counters)
 
-    def compress(self, contact: Contact, percent: float, load_steps: int, progress: Progress = silent) -> Solution:
-        """From rest to ``percent`` of compression along z; a load step that fails is halved.
-
-        raises: SolverError
-        """
-        n = len(self.model.nodes)
-        state = State(np.zeros((n, 3)), np.zeros(n), contact)
-        steps: list[LoadStep] = []
-        first = percent / load_steps
-        reached, size = 0.0, first
-        while reached < percent * (1 - 1e-9):
-            size = min(size, percent - reached)
-            target = percent if reached + size > percent * (1 - 1e-9) else reached + size
-            report = _newton_progress(progress, reached / percent, target / percent)
-            try:
-                state, step = self.load_step(state, Plates.at(self.model.nodes[:, 2], target), report)
-            except _StepFailed as failure:
-                size /= 2
-                if size < SMALLEST_LOAD_STEP * min(1.0, percent):
-                    raise _advice(failure.code, reached, percent) from None
-                continue
-            steps.append(replace(step, percent=target))
-            reached, size = target, min(2 * size, first)
-        return Solution(state, steps, self.counters)
-
     def load_step(
         self, state: State, plates: Plates, report: Callable[[int, float], None] = lambda iteration, residual: None
     ) -> tuple[State, LoadStep]:
-        """Newton's method with the plates at rest. raises: _StepFailed"""
+        """Newton's method with the plates at rest. raises: StepFailed"""
         model = self.model
-        n, blocks = len(model.nodes), len(model.pattern.column)
-        force, node_volume = np.empty((n, 3)), np.empty(n)
-        stiffness, upper, lower = np.empty((blocks, 3, 3)), np.empty((blocks, 3)), np.empty((blocks, 3))
+        system = model.system()
+        force, node_volume = system.force, system.node_volume
         u, p, contact = state.displacement, state.pressure, state.contact.new_load_step()
         for iteration in range(MAX_NEWTON):
-            smallest = assemble(
-                u, p, model.tets, model.gradients, model.volumes, model.parameters, model.pattern.block_of,
-                True, force, node_volume, stiffness, upper, lower,
-            )  # fmt: skip
-            if not smallest > 0:
-                raise _StepFailed("inverted-element")
+            if not model.assemble(u, p, system) > 0:
+                raise StepFailed("inverted-element")
             wanted, compliance = model.volume_ratio_of_pressure(p)
             volume_residual = node_volume - model.node_volume * wanted
             z = model.nodes[:, 2] + u[:, 2]
@@ -150,14 +117,17 @@ class Solver:
                 low, high = contact.forces(force[:, 2])
                 return State(u, p, contact), LoadStep(np.nan, low, high, residual, iteration)
             tangent = Tangent(
-                model.pattern, stiffness.astype(np.float32), upper.astype(np.float32), lower.astype(np.float32),
+                model.pattern,
+                system.stiffness.astype(np.float32),
+                system.coupling_upper.astype(np.float32),
+                system.coupling_lower.astype(np.float32),
                 1 / (model.node_volume * compliance),
-            )  # fmt: skip
+            )
             du, dp = self._direction(tangent, force, volume_residual, free, gap, self._forcing(iteration, residual))
             length = self._step_length(u, du)
             u, p = u + length * du, p + length * dp
             self.counters.newton += 1
-        raise _StepFailed("not-converged")
+        raise StepFailed("not-converged")
 
     def relative_residual(self, force: Floats, free: NDArray[np.bool_], contact: Contact) -> float:
         """Norm of the out-of-balance force over the larger plate force, or over the support force without plates."""
@@ -196,32 +166,12 @@ class Solver:
         return du, tangent.apply(du)[1] + pressure_part
 
     def _step_length(self, u: Floats, du: Floats) -> float:
-        """The longest of 1, 0.6, 0.36, ... that leaves every element its share of volume. raises: _StepFailed"""
+        """The longest of 1, 0.6, 0.36, ... that leaves every element its share of volume. raises: StepFailed"""
         tets, gradients = self.model.tets, self.model.gradients
         smallest = SMALLEST_VOLUME_STEP * volume_ratios(u, tets, gradients)
         length = 1.0
         while not (volume_ratios(u + length * du, tets, gradients) >= smallest).all():
             length *= 0.6
             if length < SHORTEST_STEP:
-                raise _StepFailed("inverted-element")
+                raise StepFailed("inverted-element")
         return length
-
-
-def _newton_progress(progress: Progress, start: float, stop: float) -> Callable[[int, float], None]:
-    def report(iteration: int, residual: float) -> None:
-        fraction = start + (stop - start) * (1 - 0.75**iteration)
-        progress(fraction, f"Newton iteration {iteration}, residual {residual:.1e}")
-
-    return report
-
-
-def _advice(code: str, reached: float, percent: float) -> SolverError:
-    what = {
-        "inverted-element": "an element would turn inside out",
-        "not-converged": f"Newton's method did not converge within {MAX_NEWTON} iterations",
-    }[code]
-    return SolverError(
-        f"compression by {percent:g} % failed beyond {reached:.3g} %: {what}, however short the load step; ask for a "
-        "smaller percent, more load_steps, a finer mesh or a smaller poissons_ratio",
-        code=code,
-    )

@@ -6,6 +6,14 @@ from typing import Annotated
 
 from pydantic import Field
 
+from simcore.fem.materials.linear_elastic import LinearElastic
+from simcore.fem.materials.mooney_rivlin import MooneyRivlin
 from simcore.fem.materials.neo_hookean import NeoHookean
+from simcore.fem.materials.polynomial import Polynomial
+from simcore.fem.materials.veronda_westmann import VerondaWestmann
+from simcore.fem.materials.wellman import Wellman
 
-MaterialSpec = Annotated[NeoHookean, Field(description="constitutive law of the breast")]
+MaterialSpec = Annotated[
+    NeoHookean | MooneyRivlin | Polynomial | VerondaWestmann | Wellman | LinearElastic,
+    Field(discriminator="kind", description="constitutive law of the breast"),
+]

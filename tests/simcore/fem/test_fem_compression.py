@@ -14,9 +14,11 @@ from simcore.core.errors import Cancelled, SolverError
 from simcore.core.grid import Grid
 from simcore.fem import CompressionSpec, compress, solver
 from simcore.fem.contact import LOWER, UPPER, Contact, Plates
+from simcore.fem.laws import ElementLaws
 from simcore.fem.linear import Guard
 from simcore.fem.materials.neo_hookean import NeoHookean
-from simcore.fem.model import Model, element_parameters
+from simcore.fem.model import Model
+from simcore.fem.path import Solution, Target, follow
 from simcore.fem.report import verify
 from simcore.mesh.structured import half_ellipsoid
 
@@ -159,36 +161,36 @@ def test_mesh_without_a_wall_is_refused(mesh: TetMesh) -> None:
 
 
 @pytest.fixture(scope="module")
-def solved(mesh: TetMesh) -> tuple[solver.Solver, solver.Solution, Plates]:
+def solved(mesh: TetMesh) -> tuple[solver.Solver, Solution, Plates]:
     fixed = np.zeros(mesh.nodes.shape, dtype=bool)
     fixed[mesh.wall, 0] = True
-    model = Model.of(mesh, element_parameters(mesh, ANY_PHANTOM, SPEC.material))
+    model = Model.of(mesh, ElementLaws.homogeneous(SPEC.material.law(), len(mesh.tets)))
     s = solver.Solver(model, fixed, Guard.against_roll(mesh.nodes, mesh.wall), 1e-5)
-    solution = s.compress(Contact.none(mesh.skin, len(mesh.nodes)), 30.0, 1)
+    solution = follow(s, Contact.none(mesh.skin, len(mesh.nodes)), Target(30.0))
     return s, solution, Plates.at(mesh.nodes[:, 2], 30.0)
 
 
-def tampered(solution: solver.Solution, **changes: object) -> solver.Solution:
+def tampered(solution: Solution, **changes: object) -> Solution:
     return replace(solution, state=replace(solution.state, **changes))
 
 
-def test_verification_passes_the_solution(solved: tuple[solver.Solver, solver.Solution, Plates]) -> None:
+def test_verification_passes_the_solution(solved: tuple[solver.Solver, Solution, Plates]) -> None:
     verify(*solved)
 
 
-def test_verification_sees_unbalanced_forces(solved: tuple[solver.Solver, solver.Solution, Plates]) -> None:
+def test_verification_sees_unbalanced_forces(solved: tuple[solver.Solver, Solution, Plates]) -> None:
     s, solution, plates = solved
     with pytest.raises(SolverError, match="relative residual"):
         verify(s, tampered(solution, displacement=1.001 * solution.state.displacement), plates)
 
 
-def test_verification_sees_penetration(solved: tuple[solver.Solver, solver.Solution, Plates]) -> None:
+def test_verification_sees_penetration(solved: tuple[solver.Solver, Solution, Plates]) -> None:
     s, solution, plates = solved
     with pytest.raises(SolverError, match="penetration of a plate"):
         verify(s, solution, Plates(plates.lower, plates.upper - 0.01))
 
 
-def test_verification_sees_a_pulling_plate(solved: tuple[solver.Solver, solver.Solution, Plates]) -> None:
+def test_verification_sees_a_pulling_plate(solved: tuple[solver.Solver, Solution, Plates]) -> None:
     s, solution, plates = solved
     status = solution.state.contact.status
     swapped = np.where(status == UPPER, LOWER, np.where(status == LOWER, UPPER, status)).astype(np.int8)
@@ -201,9 +203,7 @@ def test_verification_sees_a_pulling_plate(solved: tuple[solver.Solver, solver.S
         )
 
 
-def test_verification_sees_an_inverted_element(
-    mesh: TetMesh, solved: tuple[solver.Solver, solver.Solution, Plates]
-) -> None:
+def test_verification_sees_an_inverted_element(mesh: TetMesh, solved: tuple[solver.Solver, Solution, Plates]) -> None:
     s, solution, plates = solved
     displacement = np.array(solution.state.displacement)
     displacement[mesh.tets[0, 0]] += 2 * (mesh.nodes[mesh.tets[0, 1:]].mean(axis=0) - mesh.nodes[mesh.tets[0, 0]])

@@ -1,0 +1,40 @@
+"""Laws linear in a strain: Hencky's for large strain; small strain and St. Venant-Kirchhoff for comparison."""
+
+from __future__ import annotations
+
+from typing import Literal
+
+from simcore.core.spec_base import Spec, quantity
+from simcore.fem.materials.law import Law, LawKind, bulk_modulus, shear_modulus
+
+ST_VENANT_KIRCHHOFF_STRETCH = 3**-0.5
+"""Principal stretch, 0.577, below which St. Venant-Kirchhoff's stress falls while it is compressed further."""
+
+_KINDS = {
+    "hencky": LawKind.HENCKY,
+    "small": LawKind.SMALL_STRAIN,
+    "green_lagrange": LawKind.ST_VENANT_KIRCHHOFF,
+}
+
+
+class LinearElastic(Spec):
+    """Stress linear in a strain measure.
+
+    "hencky": W = mu |dev ln V|^2 + kappa U(J), good at large strain. "small": linear theory on the undeformed shape.
+    "green_lagrange": St. Venant-Kirchhoff, W = mu |dev E|^2 + kappa/2 (tr E)^2; refused (outcome "unstable-material")
+    where a principal stretch falls below 0.577, its limit point in compression.
+    Source: Anand, On H. Hencky's approximate strain-energy function, J. Appl. Mech. 46 (1979).
+    """
+
+    kind: Literal["linear_elastic"] = "linear_elastic"
+    strain: Literal["hencky", "small", "green_lagrange"] = "hencky"
+    youngs_modulus_kPa: float = quantity("Young's modulus", unit="kPa", default=48.6, gt=0.0, le=5000.0)
+    poissons_ratio: float = quantity("Poisson's ratio", unit="1", default=0.475, ge=0.0, le=0.499)
+
+    @classmethod
+    def example(cls) -> LinearElastic:
+        return cls()
+
+    def law(self) -> Law:
+        shear = shear_modulus(self.youngs_modulus_kPa, self.poissons_ratio)
+        return Law(_KINDS[self.strain], (shear,), shear, bulk_modulus(shear, self.poissons_ratio))

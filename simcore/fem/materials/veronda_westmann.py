@@ -1,0 +1,30 @@
+"""Exponential law of Veronda and Westmann."""
+
+from __future__ import annotations
+
+from typing import Literal
+
+from simcore.core.spec_base import Spec, quantity
+from simcore.fem.materials.law import Law, LawKind, bulk_modulus, shear_modulus
+
+
+class VerondaWestmann(Spec):
+    """W = C (exp(alpha (I1 - 3)) - 1) - C alpha/2 (I2 - 3) + kappa U(J), invariants of the isochoric part;
+    mu = C alpha.
+
+    Source: Veronda, Westmann, Mechanical characterization of skin: finite deformations, J. Biomech. 3 (1970) 111-124.
+    """
+
+    kind: Literal["veronda_westmann"] = "veronda_westmann"
+    youngs_modulus_kPa: float = quantity("Young's modulus at small strain", unit="kPa", gt=0.0, le=5000.0)
+    exponent: float = quantity("growth alpha of the stiffness with I1", unit="1", gt=0.0, le=20.0)
+    poissons_ratio: float = quantity("Poisson's ratio at small strain", unit="1", default=0.475, ge=0.0, le=0.499)
+
+    @classmethod
+    def example(cls) -> VerondaWestmann:
+        return cls(youngs_modulus_kPa=20.0, exponent=0.5)
+
+    def law(self) -> Law:
+        shear = shear_modulus(self.youngs_modulus_kPa, self.poissons_ratio)
+        coefficients = (shear / self.exponent, self.exponent)
+        return Law(LawKind.VERONDA_WESTMANN, coefficients, shear, bulk_modulus(shear, self.poissons_ratio))
