@@ -82,6 +82,9 @@ def spec_error(model: type[Spec], error: ValidationError) -> SpecError:
         if item["type"] == "extra_forbidden":
             valid = sorted(getattr(_walk(model, location[:-1])[1], "model_fields", {}))
             message = "unknown field" + (f"; valid here: {', '.join(valid)}" if valid else "")
+        elif item["type"] == "union_tag_not_found":
+            kinds = sorted(_members(_walk(model, location)[1]))
+            message = f"the field 'kind' is missing; valid kinds: {', '.join(kinds)}"
         given = item.get("input") if item["type"] not in ("missing", "json_invalid") else None
         value = given if isinstance(given, str | int | float | bool) else None
         problems.append({"field": field, "value": value, "message": message})

@@ -43,7 +43,10 @@ def test_the_papers_presets_are_all_there():
         ({"phantom": {"voxel": 0.2}}, r"phantom\.voxel = 0\.2: unknown field; valid here: .*voxel_mm"),
         ({"compression": {"percent": True}}, r"compression\.percent = True"),
         ({"physics": {"sampling": "joseph"}}, r"physics\.sampling = 'joseph': .*'exact' or 'trilinear'"),
-        ({"compression": {"material": {"poissons_ratio": 0.5}}}, r"poissons_ratio = 0\.5: .*0\.499"),
+        (
+            {"compression": {"material": {"kind": "neo_hookean", "poissons_ratio": 0.5}}},
+            r"poissons_ratio = 0\.5: .*0\.499",
+        ),
         ({"phantoms": {}}, "phantoms: unknown field; valid here: acquisition"),
     ],
 )
@@ -73,6 +76,7 @@ class Drawing(Spec):
     [
         ('{"shape": {"kind": "square", "edge": -1}}', r"shape\.edge = -1: "),
         ('{"shape": {"kind": "round", "edge": 1}}', r"shape\.edge = 1: unknown field; valid here: kind, radius"),
+        ('{"shape": {"edge": 1}}', "shape: the field 'kind' is missing; valid kinds: round, square"),
         ('{"shape": {"kind": "oval"}}', r"shape: .*'oval'.*'round', 'square'"),
     ],
 )
