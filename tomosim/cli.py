@@ -220,5 +220,13 @@ def _warm_up(args: argparse.Namespace) -> None:
     from simcore.core.store import Store
     from tomosim.console import StageDisplay
 
-    with tempfile.TemporaryDirectory() as folder, StageDisplay() as display:
-        pipeline.run(presets.get("tiny"), Store(folder), display)
+    tiny = presets.get("tiny")
+    variants = [
+        tiny,
+        tiny.with_(physics=tiny.physics.with_(sampling="trilinear")),
+        tiny.with_(acquisition=tiny.acquisition.with_(detector_range_degrees=4.0)),
+    ]
+    with tempfile.TemporaryDirectory() as folder:
+        for spec in variants:
+            with StageDisplay() as display:
+                pipeline.run(spec, Store(folder), display)
