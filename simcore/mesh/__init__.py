@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from simcore.core.artifacts import Phantom, TetMesh
 from simcore.core.progress import Progress, silent
-from simcore.mesh.spec import MeshSpec, TetwildMesh
+from simcore.mesh.spec import LatticeMesh, MeshSpec, TetwildMesh
 
-__all__ = ["MeshSpec", "TetwildMesh", "build"]
+__all__ = ["LatticeMesh", "MeshSpec", "TetwildMesh", "build"]
 
 
 def build(phantom: Phantom, spec: MeshSpec, progress: Progress = silent) -> TetMesh:
@@ -14,7 +14,7 @@ def build(phantom: Phantom, spec: MeshSpec, progress: Progress = silent) -> TetM
 
     phantom: labels uint8 (nz, ny, nx) in the breast frame; x = 0 must be a face between two voxel layers (or the
         outer face of the first one).
-    spec: wanted edge length, mm, for 700 ml, and the tolerance of the outline.
+    spec: which mesher, wanted edge length, mm, for 700 ml, and the tolerance of the outline.
     returns: TetMesh; its wall nodes have x == 0.0, its volume is that of the labels.
     raises: MeshError where the labels have no body at the chest wall or the mesher fails.
     """

@@ -9,15 +9,19 @@ from numpy.typing import NDArray
 from simcore.core.artifacts import Phantom, TetMesh
 from simcore.core.errors import MeshError
 from simcore.core.progress import Progress, part
-from simcore.mesh import tetwild
+from simcore.mesh import lattice, tetwild
 from simcore.mesh.cleaning import compacted, largest_body, oriented, snapped_to_wall, wall_and_skin
 from simcore.mesh.ordering import cache_order
 from simcore.mesh.quality import quality_report, volumes
-from simcore.mesh.spec import MeshSpec
-from simcore.mesh.surface import outline
+from simcore.mesh.spec import LatticeMesh, MeshSpec, TetwildMesh
+from simcore.mesh.surface import Outline, outline
 
 _MAX_VOLUME_ERROR = 0.05
 """More than the chords of a coarse mesh can cut off: the mesh is not that of the outline."""
+
+
+LATTICE_CONSTANT_PER_EDGE = 1.146
+"""Edge of the cubic cell over the wanted edge length: 35k tetrahedra at 5.5 mm, as with fTetWild."""
 
 
 def build_mesh(phantom: Phantom, spec: MeshSpec, progress: Progress) -> TetMesh:
@@ -25,22 +29,18 @@ def build_mesh(phantom: Phantom, spec: MeshSpec, progress: Progress) -> TetMesh:
     progress(0.0, "outline of the labels")
     surface = outline(phantom, spec.edge_length_mm)
     edge_length = spec.edge_length_mm * surface.scale
-    nodes, tets = tetwild.tetrahedralize(
-        surface.points,
-        surface.triangles,
-        edge_length=edge_length,
-        epsilon=spec.epsilon,
-        threads=numba.get_num_threads(),
-        progress=part(progress, 0.05, 0.9),
-    )
-    progress(0.9, "cleaning the mesh")
-    tets = largest_body(nodes, oriented(nodes, tets))
-    tolerance = 3 * spec.epsilon * float(np.linalg.norm(np.ptp(surface.points, axis=0)))
-    nodes, tets = snapped_to_wall(*compacted(nodes, tets), tolerance)
+    if isinstance(spec, LatticeMesh):
+        progress(0.1, "filling the outline")
+        nodes, tets = lattice.stuffed(surface.field, LATTICE_CONSTANT_PER_EDGE * edge_length)
+        nodes, tets = compacted(nodes, largest_body(nodes, tets))
+    else:
+        nodes, tets = _wild(surface, spec, edge_length, part(progress, 0.05, 0.9))
+    progress(0.9, "numbering the mesh")
     nodes, volume_error = _with_volume(nodes, tets, surface.volume)
     nodes, tets = cache_order(nodes, tets)
     wall, skin = wall_and_skin(nodes, tets)
     report = quality_report(nodes, tets) | {
+        "mesher": spec.kind,
         "wanted_edge_length_mm": edge_length,
         "outline_triangles": len(surface.triangles),
         "volume_before_correction": 1 + volume_error,
@@ -49,6 +49,23 @@ def build_mesh(phantom: Phantom, spec: MeshSpec, progress: Progress) -> TetMesh:
     }
     progress(1.0, f"{len(tets)} tetrahedra")
     return TetMesh(nodes, tets, wall, skin, report)
+
+
+def _wild(
+    surface: Outline, spec: TetwildMesh, edge_length: float, progress: Progress
+) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+    """fTetWild's tetrahedra, positive and in one piece, the chest wall at x = 0 exactly."""
+    nodes, tets = tetwild.tetrahedralize(
+        surface.points,
+        surface.triangles,
+        edge_length=edge_length,
+        epsilon=spec.epsilon,
+        threads=numba.get_num_threads(),
+        progress=progress,
+    )
+    tets = largest_body(nodes, oriented(nodes, tets))
+    tolerance = 3 * spec.epsilon * float(np.linalg.norm(np.ptp(surface.points, axis=0)))
+    return snapped_to_wall(*compacted(nodes, tets), tolerance)
 
 
 def _with_volume(
@@ -64,11 +81,13 @@ def _with_volume(
     if abs(error) > _MAX_VOLUME_ERROR or each.min() <= 0:
         raise MeshError(
             f"the mesh has {each.sum() / 1e3:.1f} ml where the labels have {volume / 1e3:.1f} ml, and its smallest "
-            f"tetrahedron {each.min():.3g} mm^3; use a smaller edge_length_mm or epsilon",
+            f"tetrahedron {each.min():.3g} mm^3; use a smaller edge_length_mm (or epsilon)",
             code="mesh-volume",
         )
     on_wall = nodes[:, 0] == 0.0
     if not on_wall.any():
-        raise MeshError("no node of the mesh lies on the chest wall; use a smaller epsilon", code="mesh-no-wall")
+        raise MeshError(
+            "no node of the mesh lies on the chest wall; use a smaller edge_length_mm or epsilon", code="mesh-no-wall"
+        )
     centre = np.array([0.0, *nodes[on_wall, 1:].mean(axis=0)])
     return centre + (nodes - centre) * (1 + error) ** (-1 / 3), error

@@ -21,9 +21,21 @@ def volumes(nodes: NDArray[np.float64], tets: NDArray[np.int64]) -> NDArray[np.f
 def boundary_faces(tets: NDArray[np.int64]) -> NDArray[np.int64]:
     """Triangles that belong to one tetrahedron alone, (f, 3), outward for positive tetrahedra."""
     faces = tets[:, _FACES].reshape(-1, 3)
-    ordered = np.sort(faces, axis=1)
-    _, inverse, counts = np.unique(ordered, axis=0, return_inverse=True, return_counts=True)
-    return np.ascontiguousarray(faces[counts[inverse.ravel()] == 1])
+    key = _keys(faces)
+    order = np.argsort(key)
+    same = np.concatenate([[False], key[order[1:]] == key[order[:-1]], [False]])
+    single = np.empty(len(faces), dtype=bool)
+    single[order] = ~(same[1:] | same[:-1])
+    return np.ascontiguousarray(faces[single])
+
+
+def _keys(corners: NDArray[np.int64]) -> NDArray[np.int64]:
+    """One number for each set of two or three corners (n, 2 or 3); holds up to two million nodes."""
+    nodes = int(corners.max(initial=0)) + 1
+    low, high = corners.min(axis=1), corners.max(axis=1)
+    if corners.shape[1] == 2:
+        return np.asarray(low * nodes + high)
+    return np.asarray((low * nodes + (corners.sum(axis=1) - low - high)) * nodes + high)
 
 
 def radius_ratios(nodes: NDArray[np.float64], tets: NDArray[np.int64]) -> NDArray[np.float64]:
@@ -53,7 +65,8 @@ def dihedral_angles(nodes: NDArray[np.float64], tets: NDArray[np.int64]) -> NDAr
 def quality_report(nodes: NDArray[np.float64], tets: NDArray[np.int64]) -> Report:
     """Counts, volume and shape of a mesh, JSON-ready."""
     ratio, angle = radius_ratios(nodes, tets), dihedral_angles(nodes, tets)
-    edges = np.unique(np.sort(tets[:, _EDGES].reshape(-1, 2), axis=1), axis=0)
+    pairs = tets[:, _EDGES].reshape(-1, 2)
+    edges = pairs[np.unique(_keys(pairs), return_index=True)[1]]
     length = np.linalg.norm(nodes[edges[:, 0]] - nodes[edges[:, 1]], axis=1)
     volume = volumes(nodes, tets)
     return {

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
-from pydantic import Field
+from pydantic import BeforeValidator, Field
 
 from simcore.core.spec_base import Spec, quantity
 
@@ -36,5 +36,34 @@ class TetwildMesh(Spec):
         return cls()
 
 
-MeshSpec = Annotated[TetwildMesh, Field(description="how the breast is meshed")]
+class LatticeMesh(Spec):
+    """Tetrahedra of a body-centred cubic lattice, cut at the smoothed outline of the labels (isosurface stuffing).
+    Bit-reproducible for any number of threads, in a fraction of a second; the smallest dihedral angle is above 10
+    degrees. Uniform: elements are as large inside as at the surface. 5.5 mm gives about 35k tetrahedra."""
+
+    kind: Literal["lattice"] = "lattice"
+    edge_length_mm: float = quantity(
+        "mean edge length for a breast of 700 ml; scaled with the cube root of the volume, so that every size gets "
+        "the same number of tetrahedra",
+        unit="mm",
+        default=5.5,
+        ge=2.0,
+        le=20.0,
+    )
+
+    @classmethod
+    def example(cls) -> LatticeMesh:
+        return cls()
+
+
+def _with_kind(data: Any) -> Any:
+    """Specifications written when there was one mesher name no kind."""
+    return {"kind": "tetwild", **data} if isinstance(data, dict) else data
+
+
+MeshSpec = Annotated[
+    TetwildMesh | LatticeMesh,
+    Field(discriminator="kind", description="how the breast is meshed"),
+    BeforeValidator(_with_kind),
+]
 """Union by ``kind``: a new mesher is one file and one more member here."""

@@ -32,18 +32,41 @@ Axes = tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]
 
 
 @dataclass(frozen=True, eq=False)
+class OccupancyField:
+    """Smoothed share of body at regular samples; the outline is its iso-surface at ``level``.
+
+    values: float32 (nz, ny, nx); constant along x between the wall and the first sample.
+    origin, spacing: float64 (3,) (x, y, z) of the first sample and between samples, mm.
+    """
+
+    values: NDArray[np.float32]
+    origin: NDArray[np.float64]
+    spacing: NDArray[np.float64]
+    level: float
+
+    def bounds(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Lowest and highest (x, y, z) of the samples above the level, mm."""
+        above = self.values > self.level
+        ends = [np.flatnonzero(above.any(axis=others))[[0, -1]] for others in ((0, 1), (0, 2), (1, 2))]
+        low, high = np.array(ends).T
+        return self.origin + low * self.spacing, self.origin + high * self.spacing
+
+
+@dataclass(frozen=True, eq=False)
 class Outline:
     """A closed surface with outward triangles.
 
     points: float64 (n, 3) (x, y, z), mm. triangles: int32 (f, 3).
     volume: of the labels inside, mm^3 (the surface encloses the same within its own precision).
     scale: cube root of the volume over REFERENCE_VOLUME_ML.
+    field: whose iso-surface it is.
     """
 
     points: NDArray[np.float64]
     triangles: NDArray[np.int32]
     volume: float
     scale: float
+    field: OccupancyField
 
 
 def enclosed_volume(points: NDArray[np.float64], triangles: NDArray[np.int32]) -> float:
@@ -107,8 +130,9 @@ def outline(phantom: Phantom, edge_length: float = 5.5) -> Outline:
         phantom.grid.corner[1] + (np.arange(smooth.shape[1]) + 0.5 - _MARGIN) * step[1],
         np.concatenate([[0.0, 0.0], (np.arange(smooth.shape[2]) + 0.5) * step[2]]),
     )
-    points, triangles = _surface_of_volume(smooth, volume, axes)
-    return Outline(points, triangles, volume, (volume / (REFERENCE_VOLUME_ML * 1e3)) ** (1 / 3))
+    points, triangles, level = _surface_of_volume(smooth, volume, axes)
+    field = OccupancyField(smooth, np.array([axes[2][2], axes[1][0], axes[0][0]]), step[::-1].copy(), level)
+    return Outline(points, triangles, volume, (volume / (REFERENCE_VOLUME_ML * 1e3)) ** (1 / 3), field)
 
 
 def _require_one_piece(occupancy: NDArray[np.float32]) -> None:
@@ -132,12 +156,14 @@ def _require_one_piece(occupancy: NDArray[np.float32]) -> None:
 
 def _surface_of_volume(
     occupancy: NDArray[np.float32], volume: float, axes: Axes
-) -> tuple[NDArray[np.float64], NDArray[np.int32]]:
-    """The iso-surface that encloses ``volume``: smoothing shrinks what is convex, a lower level makes up for it."""
+) -> tuple[NDArray[np.float64], NDArray[np.int32], float]:
+    """The iso-surface that encloses ``volume`` and its level: smoothing shrinks what is convex, a lower level makes up
+    for it."""
     level = 0.5
     last_level, last_error = 0.0, 0.0
     for _ in range(5):
-        points, triangles = _iso_surface(occupancy, level, axes)
+        drawn = level
+        points, triangles = _iso_surface(occupancy, drawn, axes)
         error = enclosed_volume(points, triangles) - volume
         if abs(error) < 1e-4 * volume:
             break
@@ -150,7 +176,7 @@ def _surface_of_volume(
         level = float(np.clip(level - error / slope, *_LEVELS))
         if level == last_level:
             break
-    return points, triangles
+    return points, triangles, drawn
 
 
 def _iso_surface(
