@@ -8,13 +8,13 @@ from simcore.core.artifacts import Compression, Phantom, TetMesh
 from simcore.core.errors import SolverError
 from simcore.core.progress import Progress, part
 from simcore.fem.contact import Contact, Plates
-from simcore.fem.laws import ElementLaws
 from simcore.fem.linear import Guard
 from simcore.fem.model import Model
 from simcore.fem.path import Target, follow
 from simcore.fem.report import report, verify
 from simcore.fem.solver import Solver
 from simcore.fem.spec import CompressionSpec
+from simcore.fem.tissues import element_laws
 
 
 def compress_mesh(mesh: TetMesh, phantom: Phantom, spec: CompressionSpec, progress: Progress) -> Compression:
@@ -25,7 +25,7 @@ def compress_mesh(mesh: TetMesh, phantom: Phantom, spec: CompressionSpec, progre
             f"the mesh has {len(mesh.wall)} chest-wall nodes, some not at x = 0: at least 3 exactly there are needed",
             code="no-chest-wall",
         )
-    model = Model.of(mesh, ElementLaws.homogeneous(spec.material.law(), len(mesh.tets)))
+    model = Model.of(mesh, element_laws(mesh, phantom, spec.material))
     fixed = np.zeros(mesh.nodes.shape, dtype=bool)
     fixed[mesh.wall, 0] = True
     solver = Solver(model, fixed, Guard.against_roll(mesh.nodes, mesh.wall), spec.tolerance)
