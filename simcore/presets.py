@@ -37,11 +37,11 @@ def paper_case(cup: str, percent: float, angular_range: float = 40.0, views: int
         name=f"cup {cup.upper()}, {percent:g} %",
         phantom=AnthropomorphicPhantom(volume_ml=volume, compartments=CompartmentSpec(count=compartments)),
         compression=CompressionSpec(percent=float(percent)),
-        # The largest breast leaves the detector of the paper at the outer tube angles.
+        # The largest breasts leave the detector of the paper at the outer tube angles.
         acquisition=AcquisitionSpec(
             angular_range_degrees=float(angular_range),
             views=views,
-            truncation="allow" if cup == "dd" else "refuse",
+            truncation="allow" if cup in ("d", "dd") else "refuse",
         ),
     )
 
