@@ -25,7 +25,12 @@ def compress_mesh(mesh: TetMesh, phantom: Phantom, spec: CompressionSpec, progre
             f"the mesh has {len(mesh.wall)} chest-wall nodes, some not at x = 0: at least 3 exactly there are needed",
             code="no-chest-wall",
         )
-    model = Model.of(mesh, element_laws(mesh, phantom, spec.material))
+    model = Model.of(
+        mesh,
+        element_laws(mesh, phantom, spec.material),
+        skin_tension=0.0 if spec.skin is None else spec.skin.tension(),
+        weight=(0.0, 0.0, 0.0) if spec.gravity is None else spec.gravity.weight(),
+    )
     fixed = np.zeros(mesh.nodes.shape, dtype=bool)
     fixed[mesh.wall, 0] = True
     solver = Solver(model, fixed, Guard.against_roll(mesh.nodes, mesh.wall), spec.tolerance)

@@ -13,6 +13,7 @@ from simcore.fem.assembly import assemble_neo_hookean
 from simcore.fem.element import shape_gradients
 from simcore.fem.laws import ElementLaws
 from simcore.fem.linear_strain import assemble_linear_strain
+from simcore.fem.membrane import Membrane
 from simcore.fem.principal import assemble_principal
 
 Floats = NDArray[np.float64]
@@ -48,7 +49,7 @@ class Pattern:
 class System:
     """Assembled arrays, overwritten by ``Model.assemble``.
 
-    force: (n, 3) internal force, N. node_volume: (n,) deformed volume around the nodes, mm^3.
+    force: (n, 3) internal force less the dead load, N. node_volume: (n,) deformed volume around the nodes, mm^3.
     stiffness: (blocks, 3, 3) dR_a/du_b of the upper half. coupling_upper, coupling_lower: (blocks, 3), dR_a/dp_b and
     dR_b/dp_a.
     """
@@ -81,6 +82,7 @@ class Model:
     gradients: (m, 4, 3) of the shape functions, 1/mm. volumes: (m,), mm^3.
     node_volume: (n,), a quarter of the tetrahedra around each node, mm^3.
     node_bulk: (n,) bulk modulus averaged over the same volume, N/mm^2.
+    membrane: skin on the surface. load: (n, 3) dead load, N.
     """
 
     nodes: Floats
@@ -91,13 +93,27 @@ class Model:
     node_volume: Floats
     node_bulk: Floats
     pattern: Pattern
+    membrane: Membrane | None = None
+    load: Floats | None = None
 
     @classmethod
-    def of(cls, mesh: TetMesh, laws: ElementLaws) -> Model:
+    def of(
+        cls,
+        mesh: TetMesh,
+        laws: ElementLaws,
+        *,
+        skin_tension: float = 0.0,
+        weight: tuple[float, ...] = (0, 0, 0),
+    ) -> Model:
+        """skin_tension: thickness times shear modulus of the skin, N/mm. weight: of the tissue, (x, y, z) N/mm^3."""
         count = len(mesh.nodes)
         tets = np.sort(mesh.tets, axis=1)
         gradients, volumes = shape_gradients(mesh.nodes, tets)
         node_volume = _lumped(tets, volumes, count)
+        pattern = Pattern.of(tets, count)
+        membrane = None
+        if skin_tension > 0:
+            membrane = Membrane.of(mesh.nodes, mesh.skin, pattern.row_start, pattern.column, skin_tension)
         return cls(
             nodes=mesh.nodes,
             tets=tets,
@@ -106,7 +122,9 @@ class Model:
             laws=laws,
             node_volume=node_volume,
             node_bulk=_lumped(tets, volumes * laws.bulk, count) / node_volume,
-            pattern=Pattern.of(tets, count),
+            pattern=pattern,
+            membrane=membrane,
+            load=node_volume[:, None] * np.array(weight) if any(weight) else None,
         )
 
     def system(self) -> System:
@@ -122,13 +140,19 @@ class Model:
         rest = (self.pattern.block_of, with_tangent, *system.arrays())
         laws = self.laws
         if laws.linear_strain:
-            return float(assemble_linear_strain(*body, laws.shear, laws.st_venant_kirchhoff, *rest))
-        if laws.neo_hookean:
-            return float(assemble_neo_hookean(*body, laws.shear, *rest))
-        return float(assemble_principal(*body, laws.kinds, laws.coefficients, laws.fractions, *rest))
+            smallest = assemble_linear_strain(*body, laws.shear, laws.st_venant_kirchhoff, *rest)
+        elif laws.neo_hookean:
+            smallest = assemble_neo_hookean(*body, laws.shear, *rest)
+        else:
+            smallest = assemble_principal(*body, laws.kinds, laws.coefficients, laws.fractions, *rest)
+        if self.membrane is not None:
+            self.membrane.add(displacement, self.nodes, with_tangent, system.force, system.stiffness)
+        if self.load is not None:
+            system.force[:] -= self.load
+        return float(smallest)
 
     def internal_force(self, displacement: Floats, pressure: Floats) -> Floats:
-        """Nodal forces of a state, (n, 3), N."""
+        """Nodal forces of a state less the dead load, (n, 3), N: what plates and chest wall must carry."""
         system = System.empty(len(self.nodes), 0)
         self.assemble(displacement, pressure, system, with_tangent=False)
         return system.force

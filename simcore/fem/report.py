@@ -27,13 +27,15 @@ def verify(solver: Solver, solution: Solution, plates: Plates) -> None:
     free[state.contact.status != FREE, 2] = False
     z = model.nodes[:, 2] + state.displacement[:, 2]
     low, high = state.contact.forces(force[:, 2])
+    weight = 0.0 if model.load is None else float(model.load[:, 2].sum())
+    held = float(force[solver.fixed[:, 2], 2].sum())
     values = [
         ("relative residual", solver.relative_residual(force, free, state.contact), solver.tolerance),
         ("penetration of a plate [mm]", state.contact.penetration(z, plates), 2 * GAP_MM),
         ("pull of a plate on a node, relative", state.contact.relative_pull(force[:, 2]), MAX_PULL),
         (
             "imbalance of the plates, relative",
-            abs(high - low) / max(high, low, 1e-12),
+            abs(low - high + held + weight) / max(high, low, 1e-12),
             max(_BALANCE, np.sqrt(len(z)) * solver.tolerance),
         ),
     ]

@@ -2,11 +2,43 @@
 
 from __future__ import annotations
 
+from typing import Literal
+
 from pydantic import Field
 
 from simcore.core.spec_base import Spec, quantity
 from simcore.fem.materials import MaterialSpec
 from simcore.fem.materials.neo_hookean import NeoHookean
+
+_N_PER_KPA_MM2 = 1e-3
+_STANDARD_GRAVITY = 9.80665
+_DIRECTIONS = {"-x": (-1, 0, 0), "+x": (1, 0, 0), "-y": (0, -1, 0), "+y": (0, 1, 0), "-z": (0, 0, -1), "+z": (0, 0, 1)}
+
+
+class SkinMembrane(Spec):
+    """Skin as an incompressible neo-Hookean membrane on the surface; it wrinkles instead of carrying compression."""
+
+    thickness_mm: float = quantity("thickness", unit="mm", default=1.5, gt=0.0, le=5.0)
+    youngs_modulus_kPa: float = quantity("Young's modulus at small strain", unit="kPa", gt=0.0, le=20000.0)
+
+    def tension(self) -> float:
+        """Thickness times shear modulus, N/mm."""
+        return self.thickness_mm * self.youngs_modulus_kPa / 3 * _N_PER_KPA_MM2
+
+
+class Gravity(Spec):
+    """Weight of the tissue; the shape of the phantom is taken as free of stress."""
+
+    density_g_ml: float = quantity("density", unit="g/ml", default=0.98, gt=0.0, le=2.0)
+    direction: Literal["-x", "+x", "-y", "+y", "-z", "+z"] = Field(
+        "-z", description="where it pulls; -z is towards the breast support"
+    )
+
+    def weight(self) -> tuple[float, float, float]:
+        """(x, y, z), N/mm^3."""
+        size = self.density_g_ml * 1e-6 * _STANDARD_GRAVITY
+        x, y, z = _DIRECTIONS[self.direction]
+        return size * x, size * y, size * z
 
 
 class CompressionSpec(Spec):
@@ -15,6 +47,8 @@ class CompressionSpec(Spec):
 
     percent: float = quantity("reduction of the uncompressed thickness", unit="%", default=50.0, gt=0.0, le=75.0)
     material: MaterialSpec = NeoHookean()
+    skin: SkinMembrane | None = Field(None, description="membrane on the surface; none where not given")
+    gravity: Gravity | None = Field(None, description="weight of the tissue; none where not given")
     load_steps: int = Field(
         1, ge=1, le=100, description="load steps to begin with; halved by itself where one fails [1]"
     )

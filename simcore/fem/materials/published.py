@@ -22,7 +22,7 @@ class Published(Spec):
 
     kind: Literal["published"] = "published"
     source: Literal["bakic-1998", "wellman-1999", "victre"] = Field(
-        description="bakic-1998: adipose tissue everywhere, E = 48.6 kPa. wellman-1999: 4.46 and 15.1 kPa, small strain. "
+        description="bakic-1998: adipose tissue everywhere, 48.6 kPa. wellman-1999: 4.46 and 15.1 kPa, small strain. "
         "victre: fat 5, gland 15, mass 20 kPa"
     )
 
