@@ -13,6 +13,7 @@ from simcore.mesh import lattice, tetwild
 from simcore.mesh.cleaning import compacted, largest_body, oriented, snapped_to_wall, wall_and_skin
 from simcore.mesh.ordering import cache_order
 from simcore.mesh.quality import quality_report, volumes
+from simcore.mesh.sizing import sizing_field
 from simcore.mesh.spec import LatticeMesh, MeshSpec, TetwildMesh
 from simcore.mesh.surface import Outline, outline
 
@@ -34,7 +35,7 @@ def build_mesh(phantom: Phantom, spec: MeshSpec, progress: Progress) -> TetMesh:
         nodes, tets = lattice.stuffed(surface.field, LATTICE_CONSTANT_PER_EDGE * edge_length)
         nodes, tets = compacted(nodes, largest_body(nodes, tets))
     else:
-        nodes, tets = _wild(surface, spec, edge_length, part(progress, 0.05, 0.9))
+        nodes, tets = _wild(phantom, surface, spec, edge_length, part(progress, 0.05, 0.9))
     progress(0.9, "numbering the mesh")
     nodes, volume_error = _with_volume(nodes, tets, surface.volume)
     nodes, tets = cache_order(nodes, tets)
@@ -52,7 +53,7 @@ def build_mesh(phantom: Phantom, spec: MeshSpec, progress: Progress) -> TetMesh:
 
 
 def _wild(
-    surface: Outline, spec: TetwildMesh, edge_length: float, progress: Progress
+    phantom: Phantom, surface: Outline, spec: TetwildMesh, edge_length: float, progress: Progress
 ) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
     """fTetWild's tetrahedra, positive and in one piece, the chest wall at x = 0 exactly."""
     nodes, tets = tetwild.tetrahedralize(
@@ -60,6 +61,7 @@ def _wild(
         surface.triangles,
         edge_length=edge_length,
         epsilon=spec.epsilon,
+        sizing=sizing_field(phantom, edge_length, spec.border_refinement) if spec.border_refinement > 1 else None,
         threads=numba.get_num_threads(),
         progress=progress,
     )

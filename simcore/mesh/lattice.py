@@ -41,7 +41,7 @@ class _Lattice:
     def find(self, points: Ids) -> Ids:
         """Rows of points, -1 for those that are not in the lattice."""
         index = points - self.low
-        inside = ((index >= 0) & (index < self.number.shape)).all(axis=-1)
+        inside = np.asarray(((index >= 0) & (index < self.number.shape)).all(axis=-1))
         index = np.where(inside[..., None], index, 0)
         return np.where(inside, self.number[index[..., 0], index[..., 1], index[..., 2]], -1)
 

@@ -29,7 +29,7 @@ def value_at(values: Any, origin: Any, spacing: Any, x: float, y: float, z: floa
     near += (values[k, j + 1, i] * (1 - u) + values[k, j + 1, i + 1] * u) * v
     far = (values[k + 1, j, i] * (1 - u) + values[k + 1, j, i + 1] * u) * (1 - v)
     far += (values[k + 1, j + 1, i] * (1 - u) + values[k + 1, j + 1, i + 1] * u) * v
-    return near * (1 - w) + far * w
+    return float(near * (1 - w) + far * w)
 
 
 @njit(cache=True, nogil=True)

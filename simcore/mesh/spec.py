@@ -30,6 +30,13 @@ class TetwildMesh(Spec):
         ge=1e-5,
         le=1e-2,
     )
+    border_refinement: float = quantity(
+        "edges at the borders between gland and fat and near the skin are this many times shorter; 1 is uniform",
+        unit="1",
+        default=1.0,
+        ge=1.0,
+        le=4.0,
+    )
 
     @classmethod
     def example(cls) -> TetwildMesh:

@@ -32,7 +32,7 @@ def box(
         cell = np.array(size) / np.array(cells)
         nodes[inner] += jitter * cell * generator.uniform(-1, 1, (int(inner.sum()), 3))
     nodes -= np.array([0.0, size[1] / 2, size[2] / 2])
-    return _finished(nodes, _cube_tets(cells))
+    return _finished(nodes, cube_tets(cells))
 
 
 def half_ellipsoid(semi_axes: tuple[float, float, float, float], cells: int) -> TetMesh:
@@ -72,7 +72,8 @@ def _octant_tets(cells: int) -> NDArray[np.int64]:
     )
 
 
-def _cube_tets(cells: tuple[int, int, int]) -> NDArray[np.int64]:
+def cube_tets(cells: tuple[int, int, int]) -> NDArray[np.int64]:
+    """Six tetrahedra in every cell of a grid of nodes (nx + 1, ny + 1, nz + 1), the last index running fastest."""
     nx, ny, nz = cells
     i, j, k = np.meshgrid(np.arange(nx), np.arange(ny), np.arange(nz), indexing="ij")
     corners = [

@@ -18,12 +18,14 @@ import sys
 import tempfile
 import types
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from simcore.core.errors import MeshError
 from simcore.core.progress import Progress, silent
+from simcore.mesh.sizing import SizingField
 
 TIMEOUT_S = 1800.0
 _POLL_S = 0.2
@@ -36,6 +38,7 @@ def tetrahedralize(
     *,
     edge_length: float,
     epsilon: float,
+    sizing: SizingField | None = None,
     threads: int = 1,
     timeout_s: float = TIMEOUT_S,
     progress: Progress = silent,
@@ -44,6 +47,7 @@ def tetrahedralize(
 
     points: float64 (n, 3), mm; triangles: int32 (f, 3).
     edge_length: wanted, mm; epsilon: largest distance from the surface over the diagonal of the bounding box.
+    sizing: wanted edge lengths that differ from place to place; ``edge_length`` where it does not reach.
     returns: nodes float64 (n', 3), tets int64 (m, 4), of any orientation. Not bit-reproducible.
     raises: MeshError with the last lines the mesher wrote; whatever ``progress`` raises (the child is killed).
     """
@@ -52,6 +56,7 @@ def tetrahedralize(
         np.savez(
             folder / "surface.npz",
             points=points, triangles=triangles, edge_length=edge_length, epsilon=epsilon, threads=threads,
+            **_background(sizing),
         )  # fmt: skip
         with (folder / "log").open("wb") as log:
             child = subprocess.Popen(
@@ -63,6 +68,13 @@ def tetrahedralize(
             raise MeshError(_failure(code, folder / "log", timeout_s))
         with np.load(folder / "tets.npz") as result:
             return result["nodes"], result["tets"]
+
+
+def _background(sizing: SizingField | None) -> dict[str, Any]:
+    """By the names of the mesher's arguments."""
+    if sizing is None:
+        return {}
+    return {"bg_vertices": sizing.points, "bg_tets": sizing.tets, "bg_values": sizing.lengths}
 
 
 def _environment() -> dict[str, str]:
@@ -122,6 +134,7 @@ def main() -> None:
             epsilon=float(surface["epsilon"]),
             num_threads=int(surface["threads"]),
             quiet=True,
+            **{name: surface[name] for name in surface.files if name.startswith("bg_")},
         )
     np.savez("tets.npz", nodes=np.asarray(nodes, dtype=np.float64), tets=np.asarray(tets, dtype=np.int64))
 
