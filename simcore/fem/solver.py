@@ -20,6 +20,9 @@ SMALLEST_VOLUME_STEP = 0.3
 SHORTEST_STEP = 1e-3
 _FIRST_CG_TOLERANCE = 1e-2
 _LAST_CG_TOLERANCE = 1e-4
+_STALLED = 0.8
+"""A residual that does not fall below this share of the last one, with the contact at rest, calls for half a step:
+Newton's method can swing to and fro across the kink where skin begins to wrinkle."""
 _EXACT_FROM = 6
 """Contact nodes that still come and go by this iteration are kept in motion by inexact linear solutions."""
 
@@ -90,6 +93,7 @@ class Solver:
         system = model.system()
         force, node_volume = system.force, system.node_volume
         u, p, contact = state.displacement, state.pressure, state.contact.new_load_step()
+        previous = np.inf
         for iteration in range(MAX_NEWTON):
             if not model.assemble(u, p, system) > 0:
                 raise StepFailed("inverted-element")
@@ -125,6 +129,9 @@ class Solver:
             )
             du, dp = self._direction(tangent, force, volume_residual, free, gap, self._forcing(iteration, residual))
             length = self._step_length(u, du)
+            if iteration > 1 and changes == 0 and residual > _STALLED * previous:
+                length *= 0.5
+            previous = residual
             u, p = u + length * du, p + length * dp
             self.counters.newton += 1
         raise StepFailed("not-converged")
