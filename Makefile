@@ -2,6 +2,7 @@
 PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
+BENCHES ?= case meshers compression
 PORT ?= 8080
 OUT ?= out
 DATA ?= data
@@ -50,8 +51,12 @@ format: install-dev
 test: lint
 	$(BIN)/python -m pytest $(PYTEST_ARGS)
 
-bench: install-dev
-	$(BIN)/python -m bench
+$(VENV)/.installed-bench: $(VENV)/.installed-dev requirements-bench.lock
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --require-hashes -r requirements-bench.lock
+	@touch $@
+
+bench: $(VENV)/.installed-bench
+	for name in $(BENCHES); do $(BIN)/python -m bench.$$name || exit 1; done
 
 validate: install-dev
 	$(BIN)/python -m bench.paper_cups --data $(DATA)
@@ -64,6 +69,7 @@ lock:
 	$(COMPILE) --group dev --output-file requirements-dev.lock
 	sed -nE 's/^([A-Za-z0-9_.-]+)(\[[^]]*\])?(==[^\\]*)\\$$/\1\3/p' requirements-dev.lock > constraints.tmp
 	$(COMPILE) --constraint constraints.tmp --output-file requirements.lock
+	$(COMPILE) --group dev --group bench --constraint constraints.tmp --output-file requirements-bench.lock
 	rm constraints.tmp
 
 clean:
