@@ -25,18 +25,13 @@ def compress_mesh(mesh: TetMesh, phantom: Phantom, spec: CompressionSpec, progre
             f"the mesh has {len(mesh.wall)} chest-wall nodes, some not at x = 0: at least 3 exactly there are needed",
             code="no-chest-wall",
         )
-    model = Model.of(
-        mesh,
-        element_laws(mesh, phantom, spec.material),
-        skin_tension=0.0 if spec.skin is None else spec.skin.tension(),
-        weight=(0.0, 0.0, 0.0) if spec.gravity is None else spec.gravity.weight(),
-    )
-    fixed = np.zeros(mesh.nodes.shape, dtype=bool)
-    fixed[mesh.wall, 0] = True
-    solver = Solver(model, fixed, Guard.against_roll(mesh.nodes, mesh.wall), spec.tolerance)
+    solver = solver_of(mesh, phantom, spec)
     contact = Contact.none(mesh.skin, len(mesh.nodes))
-    solution = follow(solver, contact, Target(spec.percent), spec.load_steps, part(progress, 0.05, 0.98))
-    plates = Plates.at(mesh.nodes[:, 2], spec.percent)
+    if spec.chest_wall == "fixed":
+        contact = contact.without(mesh.wall)
+    target = target_of(spec, float(np.ptp(mesh.nodes[:, 2])))
+    solution = follow(solver, contact, target, spec.load_steps, part(progress, 0.05, 0.98))
+    plates = Plates.at(mesh.nodes[:, 2], solution.steps[-1].percent)
     verify(solver, solution, plates)
     facts = report(mesh, solver, solution, plates)
     progress(1.0, f"compressed to {facts['thickness_mm']:.1f} mm")
@@ -47,3 +42,36 @@ def compress_mesh(mesh: TetMesh, phantom: Phantom, spec: CompressionSpec, progre
         outcome="converged",
         report=facts,
     )
+
+
+def solver_of(mesh: TetMesh, phantom: Phantom, spec: CompressionSpec) -> Solver:
+    """The equations of ``spec`` on ``mesh``."""
+    model = Model.of(
+        mesh,
+        element_laws(mesh, phantom, spec.material),
+        skin_tension=0.0 if spec.skin is None else spec.skin.tension(),
+        weight=(0.0, 0.0, 0.0) if spec.gravity is None else spec.gravity.weight(),
+    )
+    fixed = np.zeros(mesh.nodes.shape, dtype=bool)
+    fixed[mesh.wall, 0] = True
+    if spec.chest_wall == "fixed":
+        fixed[mesh.wall] = True
+        return Solver(model, fixed, Guard.none(), spec.tolerance)
+    return Solver(model, fixed, Guard.against_roll(mesh.nodes, mesh.wall), spec.tolerance)
+
+
+def target_of(spec: CompressionSpec, thickness_mm: float) -> Target:
+    """Where the plates stop for a breast of ``thickness_mm``.
+
+    raises: SolverError, code "target-not-reached"
+    """
+    percent = spec.percent
+    if spec.thickness_mm is not None:
+        percent = 100 * (1 - spec.thickness_mm / thickness_mm)
+        if not 0 < percent <= spec.percent:
+            raise SolverError(
+                f"thickness_mm = {spec.thickness_mm:g} is {percent:.1f} % off the uncompressed {thickness_mm:.1f} mm, "
+                f"where more than 0 and at most percent = {spec.percent:g} are allowed; change thickness_mm or percent",
+                code="target-not-reached",
+            )
+    return Target(percent, spec.force_N, spec.force_limit_N)

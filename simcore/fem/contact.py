@@ -55,6 +55,10 @@ class Contact:
         """skin: boundary triangles (f, 3)."""
         return cls(np.unique(skin), np.zeros(node_count, np.int8), np.zeros(node_count, np.int16))
 
+    def without(self, nodes: NDArray[np.int64]) -> Contact:
+        """The same, but ``nodes`` may not touch."""
+        return Contact(np.setdiff1d(self.candidates, nodes), self.status, self.releases)
+
     def new_load_step(self) -> Contact:
         return Contact(self.candidates, self.status, np.zeros_like(self.releases))
 

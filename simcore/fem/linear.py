@@ -88,6 +88,11 @@ class Guard:
         basis = np.linalg.qr(np.stack([np.ones(len(z)), z - z.mean()], axis=1))[0]
         return cls(np.ascontiguousarray(wall, dtype=np.int64), np.ascontiguousarray(basis))
 
+    @classmethod
+    def none(cls) -> Guard:
+        """No constraint: for a wall that is held by its nodes."""
+        return cls(np.empty(0, np.int64), np.empty((0, 0)))
+
     def project(self, v: Floats) -> None:
         """Takes the guarded components out of v (n, 3), in place."""
         _project(v, self.nodes, self.vectors)

@@ -12,6 +12,7 @@ from simcore.fem.element import volume_ratios
 from simcore.fem.model import Floats
 from simcore.fem.path import Solution
 from simcore.fem.solver import GAP_MM, Solver
+from simcore.fem.summary import shape_summary, strain_summary
 
 _BALANCE = 1e-3
 
@@ -82,6 +83,8 @@ def report(mesh: TetMesh, solver: Solver, solution: Solution, plates: Plates) ->
         "mean_pressure_kPa": 1e3 * mean / area if area > 0 else 0.0,
         "min_det_F": float(ratios.min()),
         "max_det_F": float(ratios.max()),
+        "log_strain": strain_summary(model, state.displacement),
+        "mesh_quality": shape_summary(deformed, model.tets),
         "volume_change": float((ratios * model.volumes).sum() / model.volumes.sum() - 1),
         "extent_x_mm": [float(deformed[:, 0].min()), float(deformed[:, 0].max())],
         "extent_y_mm": [float(deformed[:, 1].min()), float(deformed[:, 1].max())],

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from typing import Literal
+from typing import Literal, Self
 
-from pydantic import Field
+from pydantic import Field, model_validator
 
 from simcore.core.spec_base import Spec, quantity
 from simcore.fem.materials import MaterialSpec
@@ -42,13 +42,40 @@ class Gravity(Spec):
 
 
 class CompressionSpec(Spec):
-    """Two rigid, frictionless, parallel plates move towards the middle of the breast by the same distance. The chest
-    wall is held along x and free in its plane."""
+    """Two rigid, frictionless, parallel plates move towards the middle of the breast by the same distance, until it is
+    compressed by ``percent``; or, where one of them is given, to ``thickness_mm`` or to ``force_N``, and then
+    ``percent`` is the most that is allowed."""
 
     percent: float = quantity("reduction of the uncompressed thickness", unit="%", default=50.0, gt=0.0, le=75.0)
+    thickness_mm: float | None = Field(
+        None,
+        gt=0.0,
+        le=500.0,
+        json_schema_extra={"unit": "mm"},
+        description="distance of the plates at the end; refused where percent does not allow it [mm]",
+    )
+    force_N: float | None = Field(
+        None,
+        gt=0.0,
+        le=10000.0,
+        json_schema_extra={"unit": "N"},
+        description="force on a plate at the end, met within 0.1 %; refused where percent does not allow it [N]",
+    )
+    force_limit_N: float | None = Field(
+        None,
+        gt=0.0,
+        le=10000.0,
+        json_schema_extra={"unit": "N"},
+        description="force on a plate beyond which the compression is refused [N]",
+    )
     material: MaterialSpec = NeoHookean()
     skin: SkinMembrane | None = Field(None, description="membrane on the surface; none where not given")
     gravity: Gravity | None = Field(None, description="weight of the tissue; none where not given")
+    chest_wall: Literal["free_in_plane", "fixed"] = Field(
+        "free_in_plane",
+        description="free_in_plane: held along x, free along y and z, without drift and roll. fixed: held altogether; "
+        "the plates then do not touch the wall itself",
+    )
     load_steps: int = Field(
         1, ge=1, le=100, description="load steps to begin with; halved by itself where one fails [1]"
     )
@@ -59,3 +86,9 @@ class CompressionSpec(Spec):
         ge=1e-10,
         le=1e-2,
     )
+
+    @model_validator(mode="after")
+    def _one_target(self) -> Self:
+        if self.thickness_mm is not None and self.force_N is not None:
+            raise ValueError("give thickness_mm or force_N, not both")
+        return self

@@ -1,0 +1,149 @@
+"""Where the plates stop, how the chest wall is held, and how a compression can fail."""
+
+from __future__ import annotations
+
+import json
+import pickle
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from pydantic import ValidationError
+
+from simcore.core.artifacts import Compression, Phantom, TetMesh
+from simcore.core.errors import SolverError
+from simcore.core.grid import Grid
+from simcore.fem import CompressionSpec, compress
+from simcore.fem.materials.wellman import Wellman
+from simcore.fem.outcome import ADVICE, CompressionFailed
+from simcore.fem.summary import shape_summary
+from simcore.mesh.structured import box, half_ellipsoid
+
+ANY_PHANTOM = Phantom(np.ones((1, 1, 1), np.uint8), Grid((1, 1, 1), (1.0, 1.0, 1.0), (0.0, 0.0, 0.0)))
+C_CUP = (92.1, 60.2, 67.3, 53.1)
+
+
+@pytest.fixture(scope="module")
+def mesh() -> TetMesh:
+    return half_ellipsoid(C_CUP, 6)
+
+
+@pytest.fixture(scope="module")
+def halved(mesh: TetMesh) -> Compression:
+    return compress(mesh, ANY_PHANTOM, CompressionSpec())
+
+
+def test_thickness_is_the_distance_of_the_plates(mesh: TetMesh) -> None:
+    result = compress(mesh, ANY_PHANTOM, CompressionSpec(thickness_mm=90.3))
+    assert result.thickness == pytest.approx(90.3)
+    assert result.report["percent"] == pytest.approx(25.0)
+    assert np.ptp((mesh.nodes + result.displacement)[:, 2]) == pytest.approx(90.3, abs=1e-5)
+
+
+@pytest.mark.parametrize("thickness", [50.0, 130.0])
+def test_thickness_beyond_what_percent_allows_is_refused(mesh: TetMesh, thickness: float) -> None:
+    with pytest.raises(SolverError, match=f"thickness_mm = {thickness:g}") as error:
+        compress(mesh, ANY_PHANTOM, CompressionSpec(thickness_mm=thickness))
+    assert error.value.code == "target-not-reached"
+
+
+@pytest.mark.parametrize("force", [5.0, 60.0, 180.0])
+def test_force_is_met_and_the_thickness_found_gives_it_again(mesh: TetMesh, force: float) -> None:
+    result = compress(mesh, ANY_PHANTOM, CompressionSpec(force_N=force))
+    assert result.force_N == pytest.approx(force, rel=1e-3)
+    again = compress(mesh, ANY_PHANTOM, CompressionSpec(thickness_mm=result.thickness))
+    assert again.force_N == pytest.approx(result.force_N, rel=1e-3)
+    curve = result.report["force_curve"]
+    assert all(a["percent"] < b["percent"] and a["force_N"] < b["force_N"] for a, b in pairwise(curve))
+    assert len(curve) < 12
+
+
+def test_force_of_a_stiffening_law_is_met(mesh: TetMesh) -> None:
+    material = Wellman(youngs_modulus_kPa=5.0, exponent=10.0)
+    result = compress(mesh, ANY_PHANTOM, CompressionSpec(force_N=80.0, percent=60.0, material=material))
+    assert result.force_N == pytest.approx(80.0, rel=1e-3)
+
+
+def test_force_out_of_reach_is_refused_with_what_was_reached(mesh: TetMesh, halved: Compression) -> None:
+    with pytest.raises(CompressionFailed, match="force_N = 1000 is wanted") as error:
+        compress(mesh, ANY_PHANTOM, CompressionSpec(force_N=1000.0))
+    assert error.value.code == "target-not-reached"
+    assert error.value.percent == 50.0
+    assert error.value.force_N == pytest.approx(halved.force_N, rel=1e-4)
+
+
+def test_force_limit_names_the_last_good_state(mesh: TetMesh, halved: Compression) -> None:
+    spec = CompressionSpec(force_limit_N=100.0, load_steps=10)
+    with pytest.raises(CompressionFailed, match="force_limit_N = 100") as error:
+        compress(mesh, ANY_PHANTOM, spec)
+    failed = error.value
+    assert failed.code == "force-limit"
+    assert 20 < failed.percent < 50
+    assert failed.force_N < 100
+    assert failed.force_curve[-1] == {"percent": failed.percent, "force_N": failed.force_N}
+    reached = compress(mesh, ANY_PHANTOM, CompressionSpec(percent=failed.percent))
+    assert failed.displacement == pytest.approx(reached.displacement, abs=1e-2)
+    assert compress(mesh, ANY_PHANTOM, spec.with_(force_limit_N=300.0)).force_N == pytest.approx(
+        halved.force_N, rel=1e-4
+    )
+
+
+def test_a_failure_survives_its_way_between_processes() -> None:
+    failed = CompressionFailed("why", code="force-limit", percent=12.0, force_N=3.0, displacement=np.ones((2, 3)))
+    other = pickle.loads(pickle.dumps(failed))
+    assert (str(other), other.code, other.percent, other.force_N) == ("why", "force-limit", 12.0, 3.0)
+    assert other.displacement.shape == (2, 3)
+    assert json.dumps(other.to_dict())
+
+
+def test_every_code_says_what_to_change() -> None:
+    for advice in ADVICE.values():
+        assert "; " in advice
+
+
+def test_two_targets_are_refused() -> None:
+    with pytest.raises(ValidationError, match="not both"):
+        CompressionSpec(thickness_mm=50.0, force_N=100.0)
+
+
+def test_specifications_from_before_stay_valid() -> None:
+    old = '{"percent": 30.0, "material": {"kind": "neo_hookean", "youngs_modulus_kPa": 48.6}, "load_steps": 2}'
+    spec = CompressionSpec.model_validate_json(old)
+    assert (spec.percent, spec.force_N, spec.thickness_mm, spec.chest_wall) == (30.0, None, None, "free_in_plane")
+
+
+def test_a_fixed_wall_keeps_its_place_and_stiffens() -> None:
+    mesh = half_ellipsoid(C_CUP, 8)
+    spec = CompressionSpec(percent=25.0)
+    free = compress(mesh, ANY_PHANTOM, spec)
+    held = compress(mesh, ANY_PHANTOM, spec.with_(chest_wall="fixed"))
+    assert (held.displacement[mesh.wall] == 0).all()
+    assert held.report["min_det_F"] > 0
+    # Less area under the plates near the wall against more constraint.
+    assert 0.5 * free.force_N < held.force_N < 2 * free.force_N
+
+
+def test_strain_summary_of_a_block() -> None:
+    result = compress(box((30.0, 40.0, 20.0), (3, 4, 2)), ANY_PHANTOM, CompressionSpec(percent=50.0))
+    wide = np.ptp(result.report["extent_x_mm"]) / 30
+    strain = result.report["log_strain"]
+    for quantile in ("p1", "p50", "p99"):
+        assert strain["smallest"][quantile] == pytest.approx(np.log(0.5), abs=1e-4)
+        assert strain["middle"][quantile] == pytest.approx(np.log(wide), abs=1e-4)
+        assert strain["largest"][quantile] == pytest.approx(np.log(wide), abs=1e-4)
+    assert strain["shear_p99"] == pytest.approx(0.5 * (np.log(wide) - np.log(0.5)), abs=1e-4)
+
+
+def test_mesh_quality_of_known_shapes() -> None:
+    regular = np.array([[1.0, 1, 1], [1, -1, -1], [-1, 1, -1], [-1, -1, 1]])
+    quality = shape_summary(regular, np.array([[0, 1, 2, 3]]))
+    assert quality["mean_ratio_smallest"] == pytest.approx(1)
+    assert quality["dihedral_angle_smallest_degrees"] == pytest.approx(np.degrees(np.arccos(1 / 3)))
+    corner = np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]])
+    quality = shape_summary(corner, np.array([[0, 1, 2, 3]]))
+    assert quality["dihedral_angle_smallest_degrees"] == pytest.approx(np.degrees(np.arccos(3**-0.5)))
+    assert quality["mean_ratio_p50"] == pytest.approx(12 * 0.5 ** (2 / 3) / 9)
+
+
+def test_report_can_be_stored(halved: Compression) -> None:
+    assert json.loads(json.dumps(halved.report)) == halved.report
