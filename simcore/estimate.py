@@ -37,13 +37,21 @@ BYTES_PER_TETRAHEDRON = 6e3
 
 
 def compressed_extent(spec: SimulationSpec) -> tuple[float, float, float]:
-    """Predicted extent of the compressed breast: (depth along x, width along y, thickness along z), mm."""
+    """Predicted extent of the compressed breast: (depth along x, width along y, thickness along z), mm.
+
+    Where the compression goes to a force, whose place on the way is not known before: the largest of each.
+    """
     depth, half_width, upper, lower = spec.phantom.semi_axes()
-    fraction = spec.compression.percent / 100
+    c = spec.compression
+    most = least = c.percent / 100
+    if c.thickness_mm is not None:
+        most = least = min(max(1 - c.thickness_mm / (upper + lower), 0.0), most)
+    elif c.force_N is not None:
+        least = 0.0
     return (
-        depth * _interpolate(fraction, GROWTH_X),
-        2 * half_width * _interpolate(fraction, GROWTH_Y),
-        (upper + lower) * (1 - fraction),
+        depth * _interpolate(most, GROWTH_X),
+        2 * half_width * _interpolate(most, GROWTH_Y),
+        (upper + lower) * (1 - least),
     )
 
 

@@ -175,6 +175,17 @@ def test_the_source_must_stay_above_the_breast_and_the_isocenter_below_the_sourc
         estimate.check(high)
 
 
+def test_the_predicted_extent_follows_the_target_of_the_compression():
+    by_percent = estimate.compressed_extent(changed("compression.percent", 40.0))
+    _, _, upper, lower = SimulationSpec().phantom.semi_axes()
+    target = {"percent": 75.0, "thickness_mm": 0.6 * (upper + lower)}
+    spec = presets.get("paper-cup-c-20")
+    to_thickness = estimate.compressed_extent(spec.with_(compression=spec.compression.with_(**target)))
+    assert to_thickness == pytest.approx(by_percent)
+    to_force = estimate.compressed_extent(spec.with_(compression=spec.compression.with_(percent=40.0, force_N=80.0)))
+    assert to_force == pytest.approx((*by_percent[:2], upper + lower))
+
+
 def test_truncation_can_be_allowed():
     spec = changed("acquisition.detector.pixels_y", 1000)
     estimate.check(spec.with_(acquisition=spec.acquisition.with_(truncation="allow")))
