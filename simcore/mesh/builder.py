@@ -24,6 +24,9 @@ _MAX_VOLUME_ERROR = 0.05
 LATTICE_CONSTANT_PER_EDGE = 1.146
 """Edge of the cubic cell over the wanted edge length: 35k tetrahedra at 5.5 mm, as with fTetWild."""
 
+MIN_ANGLE_DEG = 10.0
+"""Smallest dihedral angle that a lattice mesh may have; outlines of phantoms give 18."""
+
 
 def build_mesh(phantom: Phantom, spec: MeshSpec, progress: Progress) -> TetMesh:
     """See simcore.mesh.build."""
@@ -40,7 +43,15 @@ def build_mesh(phantom: Phantom, spec: MeshSpec, progress: Progress) -> TetMesh:
     nodes, volume_error = _with_volume(nodes, tets, surface.volume)
     nodes, tets = cache_order(nodes, tets)
     wall, skin = wall_and_skin(nodes, tets)
-    report = quality_report(nodes, tets) | {
+    quality = quality_report(nodes, tets)
+    smallest = quality["dihedral_angle_deg"]["min"]
+    if isinstance(spec, LatticeMesh) and smallest < MIN_ANGLE_DEG:
+        raise MeshError(
+            f"the mesh has a dihedral angle of {smallest:.1f} degrees where {MIN_ANGLE_DEG:g} are the least: the "
+            "outline is too rough for the lattice; smooth the labels or use another edge_length_mm",
+            code="mesh-quality",
+        )
+    report = quality | {
         "mesher": spec.kind,
         "wanted_edge_length_mm": edge_length,
         "outline_triangles": len(surface.triangles),
