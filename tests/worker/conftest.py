@@ -37,8 +37,11 @@ def clock() -> Clock:
 @pytest.fixture(scope="session")
 def postgres_url() -> Iterator[str]:
     """A PostgreSQL server of our own on a Unix socket; skipped where the programs are not installed."""
-    if not shutil.which("initdb") or not shutil.which("postgres"):
-        pytest.skip("PostgreSQL is not installed")
+    # Debian keeps the server's programs off the PATH.
+    folders = [os.environ["PATH"], *map(str, sorted(Path("/usr/lib/postgresql").glob("*/bin"), reverse=True))]
+    programs = os.pathsep.join(folders)
+    if not shutil.which("initdb", path=programs) or not shutil.which("postgres", path=programs):
+        pytest.skip("needs PostgreSQL's initdb and postgres: the Debian package postgresql")
     pytest.importorskip("pg8000")
     folder = Path(tempfile.mkdtemp(prefix="pg"))
     # PostgreSQL refuses to run as root.
@@ -46,9 +49,19 @@ def postgres_url() -> Iterator[str]:
     if user:
         shutil.chown(folder, user)
     database = folder / "database"
-    env = {"PATH": os.environ["PATH"], "HOME": str(folder)}
+    env = {"PATH": programs, "HOME": str(folder)}
     subprocess.run(
-        ["initdb", "-D", database, "-U", "tomosim", "--auth=trust", "-N", "-E", "UTF8"],
+        [
+            shutil.which("initdb", path=programs) or "initdb",
+            "-D",
+            database,
+            "-U",
+            "tomosim",
+            "--auth=trust",
+            "-N",
+            "-E",
+            "UTF8",
+        ],
         user=user,
         cwd=folder,
         env=env,
@@ -56,7 +69,16 @@ def postgres_url() -> Iterator[str]:
         capture_output=True,
     )
     server = subprocess.Popen(
-        ["postgres", "-D", database, "-k", folder, "-c", "listen_addresses=", "-F"],
+        [
+            shutil.which("postgres", path=programs) or "postgres",
+            "-D",
+            database,
+            "-k",
+            folder,
+            "-c",
+            "listen_addresses=",
+            "-F",
+        ],
         user=user,
         cwd=folder,
         env=env,
@@ -80,7 +102,7 @@ def postgres_url() -> Iterator[str]:
         shutil.rmtree(folder, ignore_errors=True)
 
 
-@pytest.fixture(params=["sqlite", "postgresql"])
+@pytest.fixture(params=["sqlite", pytest.param("postgresql", marks=pytest.mark.needs_postgresql)])
 def engine(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[sa.Engine]:
     if request.param == "sqlite":
         made = connect(f"sqlite:///{tmp_path / 'tomosim.db'}")

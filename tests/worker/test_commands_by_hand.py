@@ -1,5 +1,6 @@
 """``python -m api`` and ``python -m worker`` as docker-compose starts them: PostgreSQL, a broker on TCP."""
 
+import shutil
 import subprocess
 import sys
 import time
@@ -47,9 +48,20 @@ def is_ready(url):
         return False
 
 
-def test_separate_processes(start, make_settings, postgres_url, free_port, tmp_path):
+@pytest.fixture(params=["embedded", pytest.param("redis-server", marks=pytest.mark.needs_redis)])
+def broker_program(request):
+    """The broker of the package, and the one that a distribution brings."""
+    if request.param == "embedded":
+        return str(broker.find_server())
+    if not shutil.which("redis-server"):
+        pytest.skip("needs the Debian package redis-server")
+    return shutil.which("redis-server")
+
+
+@pytest.mark.needs_postgresql
+def test_separate_processes(start, make_settings, postgres_url, broker_program, free_port, tmp_path):
     broker_port = free_port + 1 if free_port < 65000 else free_port - 1
-    command = [str(broker.find_server()), "--port", str(broker_port), "--bind", "127.0.0.1", "--dir", str(tmp_path)]
+    command = [broker_program, "--port", str(broker_port), "--bind", "127.0.0.1", "--dir", str(tmp_path)]
     start([*command, "--save", ""])
     settings = make_settings(
         database_url=postgres_url, broker_url=f"redis://127.0.0.1:{broker_port}/0", port=free_port, sweep_seconds=0.3
