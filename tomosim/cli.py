@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any
 
 from simcore import __version__
-from simcore.core.errors import SimulationError, SpecError
+from simcore.core.errors import ExportError, SimulationError, SpecError
 from simcore.spec import SimulationSpec
 
 EXIT_CODES = {"user": 2, "simulation": 3, "system": 4}
@@ -74,6 +74,10 @@ def _parser() -> argparse.ArgumentParser:
     p = commands.add_parser("estimate", help="memory, disk and time a case will need")
     _spec_argument(p)
     p.set_defaults(run=_estimate)
+
+    p = commands.add_parser("analyse", help="quality measures of a case: texture, contrast, skin line, clipping")
+    p.add_argument("case", type=Path, metavar="DIR", help="a folder that 'tomosim simulate --out' wrote")
+    p.set_defaults(run=_analyse)
 
     p = commands.add_parser("warm-up", help="compile all kernels once, so that the first case is as fast as the next")
     p.set_defaults(run=_warm_up)
@@ -211,6 +215,23 @@ def _estimate(args: argparse.Namespace) -> None:
     from simcore import estimate
 
     print(estimate.check(_read_spec(args.spec)).model_dump_json(indent=2))
+
+
+def _analyse(args: argparse.Namespace) -> None:
+    import json
+
+    from simcore import quality
+    from tomosim.console import StageDisplay
+
+    with StageDisplay() as display:
+        analysis = quality.analyse(args.case, lambda fraction, message: display("analyse", fraction, message))
+        display("analyse", 1.0, "done")
+    target = args.case / "analysis.json"
+    try:
+        target.write_text(json.dumps(analysis, indent=1) + "\n")
+    except OSError as error:
+        raise ExportError(f"{target} cannot be written: {error.strerror}") from error
+    print(quality.table(analysis))
 
 
 def _warm_up(args: argparse.Namespace) -> None:
