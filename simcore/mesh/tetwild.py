@@ -18,14 +18,16 @@ import sys
 import tempfile
 import types
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from simcore.core.errors import MeshError
 from simcore.core.progress import Progress, silent
-from simcore.mesh.sizing import SizingField
+
+if TYPE_CHECKING:  # the child has no use for compiled code
+    from simcore.mesh.sizing import SizingField
 
 TIMEOUT_S = 1800.0
 _POLL_S = 0.2
