@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 from simcore.core.artifacts import Compression, Phantom, TetMesh
 from simcore.core.progress import Progress, silent
+from simcore.fem.materials import MaterialSpec
 from simcore.fem.spec import CompressionSpec
 
-__all__ = ["CompressionSpec", "compress"]
+__all__ = ["CompressionSpec", "compress", "write_vtu"]
 
 
 def compress(mesh: TetMesh, phantom: Phantom, spec: CompressionSpec, progress: Progress = silent) -> Compression:
@@ -22,3 +25,22 @@ def compress(mesh: TetMesh, phantom: Phantom, spec: CompressionSpec, progress: P
     from simcore.fem.compression import compress_mesh
 
     return compress_mesh(mesh, phantom, spec, progress)
+
+
+def write_vtu(
+    path: Path,
+    mesh: TetMesh,
+    compression: Compression,
+    phantom: Phantom | None = None,
+    material: MaterialSpec | None = None,
+) -> None:
+    """The uncompressed mesh with its displacement, strains and stresses, in the breast frame, for ParaView and others.
+
+    At the nodes: displacement_mm. In the tetrahedra: J = det F, green_lagrange_strain (nine components, row by row).
+    With ``phantom``: fraction_NAME of every tissue, tissue (the label of the largest). With ``phantom`` and
+    ``material`` (that of the compression): cauchy_stress_kPa (nine components), von_mises_stress_kPa, and at the
+    nodes pressure_kPa, positive in compression. Single precision.
+    """
+    from simcore.fem.vtu import write_mesh
+
+    write_mesh(path, mesh, compression, phantom, material)
