@@ -1,4 +1,4 @@
-"""Two rigid, frictionless plates as a primal-dual active set: a node is free or exactly on a plate, no penalty.
+"""Two plates as a primal-dual active set: a node is free or exactly on a plate, no penalty.
 
 Source: Hueber, Wohlmuth, A primal-dual active set strategy for non-linear multibody contact problems, Comput.
 Methods Appl. Mech. Engrg. 194 (2005).
@@ -23,19 +23,45 @@ MAX_PULL = 1e-3
 """Pull on a node, relative to the largest nodal force, that an equilibrium may not have."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Plates:
-    """z of the lower and the upper plate, mm."""
+    """Where the plates are.
+
+    lower, upper: z of the plates, mm; of a tilted upper plate at x = pivot. slope: dz/dx of the upper plate.
+    lower_bend, upper_bend: (n,) z that bending adds at the nodes, mm; none for rigid plates.
+    """
 
     lower: float
     upper: float
+    slope: float = 0.0
+    pivot: float = 0.0
+    lower_bend: Floats | None = None
+    upper_bend: Floats | None = None
 
     @classmethod
-    def at(cls, z: Floats, percent: float) -> Plates:
+    def at(cls, z: Floats, percent: float, slope: float = 0.0, pivot: float = 0.0) -> Plates:
         """Plates that have taken ``percent`` of the extent of ``z``, each from its own side by the same distance."""
         low, high = float(z.min()), float(z.max())
         travel = 0.5 * (high - low) * percent / 100
-        return cls(low + travel, high - travel)
+        return cls(low + travel, high - travel, slope, pivot)
+
+    @property
+    def upper_normal(self) -> Floats:
+        """(3,), away from the breast."""
+        normal: Floats = np.array([-self.slope, 0.0, 1.0]) / np.hypot(1.0, self.slope)
+        return normal
+
+    def heights(self, points: Floats) -> tuple[Floats | float, Floats | float]:
+        """z of the lower and the upper plate where the nodes are, mm. points: (n, 3), of all nodes."""
+        lower: Floats | float = self.lower
+        upper: Floats | float = self.upper
+        if self.slope != 0.0:
+            upper = upper + self.slope * (points[:, 0] - self.pivot)
+        if self.lower_bend is not None:
+            lower = lower + self.lower_bend
+        if self.upper_bend is not None:
+            upper = upper + self.upper_bend
+        return lower, upper
 
 
 @dataclass(frozen=True, eq=False)
@@ -62,41 +88,46 @@ class Contact:
     def new_load_step(self) -> Contact:
         return Contact(self.candidates, self.status, np.zeros_like(self.releases))
 
-    def updated(self, z: Floats, force_z: Floats, plates: Plates, *, may_release: bool) -> Contact:
+    def updated(self, points: Floats, force: Floats, plates: Plates, *, may_release: bool) -> Contact:
         """Nodes behind a plate are put on it, nodes it would have to pull are released.
 
-        z: (n,) present height, mm. force_z: (n,) internal force along z, N: negative where the upper plate pushes.
+        points: (n, 3), present, mm. force: (n, 3) internal force, N.
         """
         c = self.candidates
         status, releases = self.status.copy(), self.releases.copy()
         free = self.status[c] == FREE
-        status[c[free & (z[c] > plates.upper + PENETRATION_MM)]] = UPPER
-        status[c[free & (z[c] < plates.lower - PENETRATION_MM)]] = LOWER
+        below, above = (points[:, 2] - height for height in plates.heights(points))
+        status[c[free & (above[c] > PENETRATION_MM)]] = UPPER
+        status[c[free & (below[c] < -PENETRATION_MM)]] = LOWER
         if may_release:
-            threshold = TENSION * np.abs(force_z[c]).max(initial=0.0)
-            pulled = ((self.status[c] == UPPER) & (force_z[c] > threshold)) | (
-                (self.status[c] == LOWER) & (force_z[c] < -threshold)
-            )
-            leaving = c[pulled & (releases[c] < MAX_RELEASES)]
+            threshold = TENSION * np.abs(force[c, 2]).max(initial=0.0)
+            leaving = c[(self.push(force, plates)[c] < -threshold) & (releases[c] < MAX_RELEASES)]
             status[leaving] = FREE
             releases[leaving] += 1
         return Contact(c, status, releases)
 
-    def gap(self, z: Floats, plates: Plates) -> Floats:
+    def push(self, force: Floats, plates: Plates) -> Floats:
+        """(n,) force with which a plate pushes each node along its normal, N; 0 for free nodes."""
+        upper = -(force @ plates.upper_normal) if plates.slope != 0.0 else -force[:, 2]
+        return np.where(self.status == UPPER, upper, np.where(self.status == LOWER, force[:, 2], 0.0))
+
+    def gap(self, points: Floats, plates: Plates) -> Floats:
         """(n,) way along z that brings each node of the active set onto its plate, 0 for free nodes, mm."""
-        return np.where(self.status == UPPER, plates.upper - z, np.where(self.status == LOWER, plates.lower - z, 0.0))
+        lower, upper = plates.heights(points)
+        z = points[:, 2]
+        return np.where(self.status == UPPER, upper - z, np.where(self.status == LOWER, lower - z, 0.0))
 
     def forces(self, force_z: Floats) -> tuple[float, float]:
-        """(on the lower plate, on the upper plate), N, positive when pushed away."""
+        """(on the lower plate, on the upper plate) along z, N, positive when pushed away."""
         return float(force_z[self.status == LOWER].sum()), float(-force_z[self.status == UPPER].sum())
 
-    def relative_pull(self, force_z: Floats) -> float:
+    def relative_pull(self, force: Floats, plates: Plates) -> float:
         """Largest force with which a plate would have to pull on a node, relative to the largest with which it
         pushes; 0 where all are pushed."""
-        push = np.where(self.status == UPPER, -force_z, np.where(self.status == LOWER, force_z, 0.0))
+        push = self.push(force, plates)
         return float(max(-push.min(), 0.0) / max(push.max(), 1e-300))
 
-    def penetration(self, z: Floats, plates: Plates) -> float:
+    def penetration(self, points: Floats, plates: Plates) -> float:
         """Largest depth of a candidate node behind a plate, mm."""
-        heights = z[self.candidates]
-        return float(max((heights - plates.upper).max(), (plates.lower - heights).max(), 0.0))
+        below, above = (points[:, 2] - height for height in plates.heights(points))
+        return float(max(above[self.candidates].max(), -below[self.candidates].min(), 0.0))

@@ -12,6 +12,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from simcore.fem.constraints import Constraints
 from simcore.fem.model import Floats, Pattern
 
 Array = NDArray[Any]
@@ -45,9 +46,9 @@ class Tangent:
         return y
 
     def solve(
-        self, rhs: Floats, free: NDArray[np.bool_], guard: Guard, tolerance: float, max_iterations: int = 4000
+        self, rhs: Floats, constraints: Constraints, guard: Guard, tolerance: float, max_iterations: int = 4000
     ) -> tuple[Floats, int]:
-        """x with A x = rhs on the free degrees of freedom and in the space of the guard, (n, 3).
+        """x with A x = rhs in the space that the constraints and the guard leave, (n, 3).
 
         tolerance: on the preconditioned residual, relative to its first value.
         returns: (x, iterations). Where A is not positive along a direction it ends with what it has by then.
@@ -56,10 +57,12 @@ class Tangent:
         p = self.pattern
         _invert_diagonal(
             p.row_start, p.column, self.stiffness, self.coupling_upper, self.coupling_lower,
-            self.compliance, free, preconditioner,
+            self.compliance, constraints.free, constraints.gliding, constraints.normal, preconditioner,
         )  # fmt: skip
+        r = rhs.copy()
+        constraints.project(r)
         x, iterations = _conjugate_gradients(
-            *self._arrays, preconditioner, rhs * free, free, guard.nodes, guard.vectors, tolerance, max_iterations
+            *self._arrays, preconditioner, r, guard.nodes, guard.vectors, tolerance, max_iterations
         )
         return x, int(iterations)
 
@@ -178,9 +181,19 @@ def _invert_symmetric(S: Array, out: Array) -> None:
 
 @njit(cache=True, nogil=True)
 def _invert_diagonal(
-    row_start: Array, column: Array, K: Array, upper: Array, lower: Array, compliance: Array, free: Array, M: Array
+    row_start: Array,
+    column: Array,
+    K: Array,
+    upper: Array,
+    lower: Array,
+    compliance: Array,
+    free: Array,
+    gliding: Array,
+    normal: Array,
+    M: Array,
 ) -> None:
-    """M = inverses of the 3x3 diagonal blocks of K + B C^-1 B^T, zero where not free."""
+    """M = inverses of the 3x3 diagonal blocks of K + B C^-1 B^T in the free directions, zero in the others: what they
+    leave of a vector has no part in the directions that are not free."""
     n = row_start.shape[0] - 1
     for a in range(n):
         for i in range(3):
@@ -205,6 +218,29 @@ def _invert_diagonal(
         for i in range(3):
             if not free[a, i]:
                 M[a, i, i] = 0.0
+        if gliding[a]:
+            _glide(S, free[a], normal, M[a])
+
+
+@njit(cache=True, nogil=True)
+def _glide(S: Array, free: Array, normal: Array, M: Array) -> None:
+    """M = P (P S P + 1 - P)^-1 P, with P the projector on the free directions across the normal."""
+    P, T, U = np.empty((3, 3)), np.empty((3, 3)), np.empty((3, 3))
+    square = 0.0
+    for i in range(3):
+        if free[i]:
+            square += normal[i] * normal[i]
+    for i in range(3):
+        for j in range(3):
+            P[i, j] = 0.0
+            if free[i] and free[j]:
+                P[i, j] = (1.0 if i == j else 0.0) - normal[i] * normal[j] / square
+    T[:] = P @ S @ P
+    for i in range(3):
+        for j in range(3):
+            T[i, j] += (1.0 if i == j else 0.0) - P[i, j]
+    _invert_symmetric(T, U)
+    M[:] = P @ U @ P
 
 
 @njit(cache=True, nogil=True)
@@ -218,12 +254,11 @@ def _project(v: Array, nodes: Array, vectors: Array) -> None:
 
 
 @njit(cache=True, nogil=True, fastmath=True)
-def _advance(x: Array, r: Array, direction: Array, product: Array, free: Array, alpha: float) -> None:
+def _advance(x: Array, r: Array, direction: Array, product: Array, alpha: float) -> None:
     for a in range(r.shape[0]):
         for i in range(3):
             x[a, i] += alpha * direction[a, i]
-            if free[a, i]:
-                r[a, i] -= alpha * product[a, i]
+            r[a, i] -= alpha * product[a, i]
 
 
 @njit(cache=True, nogil=True, fastmath=True)
@@ -244,7 +279,7 @@ def _dot(a: Array, b: Array) -> float:
 @njit(cache=True, nogil=True)
 def _conjugate_gradients(
     row_start: Array, column: Array, K: Array, upper: Array, lower: Array, compliance: Array,
-    M: Array, rhs: Array, free: Array, guard_nodes: Array, guard_vectors: Array,
+    M: Array, rhs: Array, guard_nodes: Array, guard_vectors: Array,
     tolerance: float, max_iterations: int,
 ) -> tuple[Array, int]:  # fmt: skip
     r, z, product = rhs.copy(), np.empty_like(rhs), np.empty_like(rhs)
@@ -264,7 +299,7 @@ def _conjugate_gradients(
                 x[:] = z
             break
         _project(product, guard_nodes, guard_vectors)
-        _advance(x, r, direction, product, free, rz / curvature)
+        _advance(x, r, direction, product, rz / curvature)
         _precondition(M, r, z)
         _project(z, guard_nodes, guard_vectors)
         rz_next = _dot(r, z)

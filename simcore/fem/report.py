@@ -7,8 +7,10 @@ from numpy.typing import NDArray
 
 from simcore.core.artifacts import Report, TetMesh
 from simcore.core.errors import SolverError
-from simcore.fem.contact import FREE, LOWER, MAX_PULL, UPPER, Plates
+from simcore.fem.constraints import Constraints
+from simcore.fem.contact import LOWER, MAX_PULL, UPPER, Plates
 from simcore.fem.element import volume_ratios
+from simcore.fem.friction import STICK_MM
 from simcore.fem.model import Floats
 from simcore.fem.path import Solution
 from simcore.fem.solver import GAP_MM, Solver
@@ -23,21 +25,20 @@ def verify(solver: Solver, solution: Solution, plates: Plates) -> None:
     raises: SolverError, code "not-converged" or "inverted-element"
     """
     model, state = solver.model, solution.state
-    force = model.internal_force(state.displacement, state.pressure)
-    free = ~solver.fixed
-    free[state.contact.status != FREE, 2] = False
-    z = model.nodes[:, 2] + state.displacement[:, 2]
+    force = solver.forces(state)
+    constraints = Constraints.of(solver.fixed, state.contact, plates)
+    points = model.nodes + state.displacement
     low, high = state.contact.forces(force[:, 2])
     weight = 0.0 if model.load is None else float(model.load[:, 2].sum())
     held = float(force[solver.fixed[:, 2], 2].sum())
     values = [
-        ("relative residual", solver.relative_residual(force, free, state.contact), solver.tolerance),
-        ("penetration of a plate [mm]", state.contact.penetration(z, plates), 2 * GAP_MM),
-        ("pull of a plate on a node, relative", state.contact.relative_pull(force[:, 2]), MAX_PULL),
+        ("relative residual", solver.relative_residual(force, constraints, state.contact), solver.tolerance),
+        ("penetration of a plate [mm]", state.contact.penetration(points, plates), 2 * GAP_MM),
+        ("pull of a plate on a node, relative", state.contact.relative_pull(force, plates), MAX_PULL),
         (
             "imbalance of the plates, relative",
             abs(low - high + held + weight) / max(high, low, 1e-12),
-            max(_BALANCE, np.sqrt(len(z)) * solver.tolerance),
+            max(_BALANCE, np.sqrt(len(points)) * solver.tolerance),
         ),
     ]
     smallest = float(volume_ratios(state.displacement, model.tets, model.gradients).min())
@@ -64,7 +65,7 @@ def report(mesh: TetMesh, solver: Solver, solution: Solution, plates: Plates) ->
         _contact_area(deformed, mesh.skin, state.contact.status == plate) for plate in (LOWER, UPPER)
     )
     area = 0.5 * (area_lower + area_upper)
-    force = model.internal_force(state.displacement, state.pressure)
+    force = solver.forces(state)
     drift, roll = _guarded(mesh, force)
     return {
         "percent": last.percent,
@@ -79,6 +80,7 @@ def report(mesh: TetMesh, solver: Solver, solution: Solution, plates: Plates) ->
             "lower": int(np.count_nonzero(state.contact.status == LOWER)),
             "upper": int(np.count_nonzero(state.contact.status == UPPER)),
         },
+        "friction": _friction_facts(solver, solution, plates),
         "contact_area_mm2": area,
         "mean_pressure_kPa": 1e3 * mean / area if area > 0 else 0.0,
         "min_det_F": float(ratios.min()),
@@ -97,6 +99,22 @@ def report(mesh: TetMesh, solver: Solver, solution: Solution, plates: Plates) ->
         "load_steps": len(solution.steps),
         "newton_iterations": solution.counters.newton,
         "cg_iterations": solution.counters.cg,
+    }
+
+
+def _friction_facts(solver: Solver, solution: Solution, plates: Plates) -> Report | None:
+    """Tangential force of each plate along (x, y, z), N, as it acts on the breast, and the share of the pushed nodes
+    that slide."""
+    state = solution.state
+    if solver.friction is None or state.slip is None:
+        return None
+    push = state.contact.push(solver.model.internal_force(state.displacement, state.pressure), plates)
+    resistance = solver.friction.resistance(state.slip, push)
+    pushed = push > 0
+    return {
+        "lower_N": [float(f) for f in -resistance[state.contact.status == LOWER].sum(axis=0)],
+        "upper_N": [float(f) for f in -resistance[state.contact.status == UPPER].sum(axis=0)],
+        "sliding_share": float((state.slip.length[pushed] > STICK_MM).mean()) if pushed.any() else 0.0,
     }
 
 

@@ -8,10 +8,12 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
+from simcore.fem.constraints import Constraints
 from simcore.fem.contact import FREE, MAX_PULL, Contact, Plates
 from simcore.fem.element import volume_ratios
+from simcore.fem.friction import Friction, Slip
 from simcore.fem.linear import Guard, Tangent
-from simcore.fem.model import Floats, Model
+from simcore.fem.model import Floats, Model, System
 
 MAX_NEWTON = 30
 GAP_MM = 1e-6
@@ -23,17 +25,21 @@ _LAST_CG_TOLERANCE = 1e-4
 _STALLED = 0.8
 """A residual that does not fall below this share of the last one, with the contact at rest, calls for half a step:
 Newton's method can swing to and fro across the kink where skin begins to wrinkle."""
+_LEAST_SECANT = 0.01
 _EXACT_FROM = 6
 """Contact nodes that still come and go by this iteration are kept in motion by inexact linear solutions."""
 
 
 @dataclass(frozen=True, eq=False)
 class State:
-    """displacement: (n, 3), mm. pressure: (n,), N/mm^2, positive in tension."""
+    """displacement: (n, 3), mm. pressure: (n,), N/mm^2, positive in tension. plates: where they stand; none at rest.
+    slip: elastic slip of friction; none without it."""
 
     displacement: Floats
     pressure: Floats
     contact: Contact
+    plates: Plates | None = None
+    slip: Slip | None = None
 
     @classmethod
     def rest(cls, contact: Contact) -> State:
@@ -71,11 +77,32 @@ class StepFailed(Exception):
         self.code = code
 
 
+@dataclass
+class _Pace:
+    """How bold the next iteration may be.
+
+    stalled: share of the best residual above which the step is halved. length: of the step. secant: share of friction's
+    secant, 1 at first and half of the last one wherever the residual falls.
+    """
+
+    stalled: float
+    length: float = 1.0
+    secant: float = 1.0
+    best: float = np.inf
+
+    def next(self, residual: float, *, at_rest: bool) -> None:
+        """at_rest: whether the contact has not changed in the last iteration."""
+        falls = residual < self.best
+        self.secant = max(self.secant / 2, _LEAST_SECANT) if at_rest and falls else 1.0
+        self.length = 0.5 if at_rest and residual > self.stalled * self.best else 1.0
+        self.best = min(self.best, residual) if at_rest else np.inf
+
+
 @dataclass(frozen=True, eq=False)
 class Solver:
     """Equilibrium of ``model`` with ``fixed`` degrees of freedom between plates.
 
-    fixed: bool (n, 3), degrees of freedom that keep their displacement.
+    fixed: bool (n, 3), degrees of freedom that keep their displacement. friction: of skin on the plates.
     tolerance: residual force relative to the plate force (where there is none, to the support force).
     """
 
@@ -83,6 +110,7 @@ class Solver:
     fixed: NDArray[np.bool_]
     guard: Guard
     tolerance: float
+    friction: Friction | None = None
     counters: Counters = field(default_factory=Counters)
 
     def load_step(
@@ -93,20 +121,23 @@ class Solver:
         system = model.system()
         force, node_volume = system.force, system.node_volume
         u, p, contact = state.displacement, state.pressure, state.contact.new_load_step()
-        previous = np.inf
+        slip: Slip | None = None
+        pace = _Pace(_STALLED if self.friction is None else 1.0)
         for iteration in range(MAX_NEWTON):
             if not model.assemble(u, p, system) > 0:
                 raise StepFailed("inverted-element")
             wanted, compliance = model.volume_ratio_of_pressure(p)
             volume_residual = node_volume - model.node_volume * wanted
-            z = model.nodes[:, 2] + u[:, 2]
+            points = model.nodes + u
             old_status = contact.status
-            contact = contact.updated(z, force[:, 2], plates, may_release=iteration > 0)
+            contact = contact.updated(points, force, plates, may_release=iteration > 0)
             changes = np.count_nonzero(contact.status != old_status)
-            gap = contact.gap(z, plates)
-            free = ~self.fixed
-            free[contact.status != FREE, 2] = False
-            residual = self.relative_residual(force, free, contact)
+            gap = contact.gap(points, plates)
+            constraints = Constraints.of(self.fixed, contact, plates)
+            if self.friction is not None:
+                slip = self._add_friction(state, u, contact, plates, system, pace.secant)
+            residual = self.relative_residual(force, constraints, contact)
+            pace.next(residual, at_rest=changes == 0 and iteration > 0)
             report(iteration, residual)
             if (
                 iteration > 0
@@ -115,11 +146,11 @@ class Solver:
                 and np.abs(gap).max() < GAP_MM
                 and np.abs(volume_residual / model.node_volume).max() < 10 * self.tolerance
             ):
-                if contact.relative_pull(force[:, 2]) > MAX_PULL:
+                if contact.relative_pull(force, plates) > MAX_PULL:
                     contact = contact.new_load_step()
                     continue
                 low, high = contact.forces(force[:, 2])
-                return State(u, p, contact), LoadStep(np.nan, low, high, residual, iteration)
+                return State(u, p, contact, plates, slip), LoadStep(np.nan, low, high, residual, iteration)
             tangent = Tangent(
                 model.pattern,
                 system.stiffness.astype(np.float32),
@@ -127,18 +158,41 @@ class Solver:
                 system.coupling_lower.astype(np.float32),
                 1 / (model.node_volume * compliance),
             )
-            du, dp = self._direction(tangent, force, volume_residual, free, gap, self._forcing(iteration, residual))
+            du, dp = self._direction(
+                tangent, force, volume_residual, constraints, gap, self._forcing(iteration, residual)
+            )
             length = self._step_length(u, du)
-            if iteration > 1 and changes == 0 and residual > _STALLED * previous:
-                length *= 0.5
-            previous = residual
+            length *= pace.length
             u, p = u + length * du, p + length * dp
             self.counters.newton += 1
         raise StepFailed("not-converged")
 
-    def relative_residual(self, force: Floats, free: NDArray[np.bool_], contact: Contact) -> float:
+    def forces(self, state: State) -> Floats:
+        """Internal force and friction less the dead load, (n, 3), N: what plates and chest wall carry besides."""
+        force = self.model.internal_force(state.displacement, state.pressure)
+        if self.friction is not None and state.slip is not None and state.plates is not None:
+            force += self.friction.resistance(state.slip, state.contact.push(force, state.plates))
+        return force
+
+    def _add_friction(
+        self, before: State, u: Floats, contact: Contact, plates: Plates, system: System, secant: float
+    ) -> Slip:
+        """Friction of the present state, added to the forces and the tangent."""
+        assert self.friction is not None
+        moved = u - before.displacement
+        was = before.plates or Plates.at(self.model.nodes[:, 2], 0.0)
+        still = before.slip.elastic if before.slip is not None else np.zeros_like(u)
+        slip = self.friction.slip(still, moved, contact, plates, was)
+        push = contact.push(system.force, plates)
+        system.force[:] += self.friction.resistance(slip, push)
+        nodes, blocks = self.friction.stiffness(slip, push, contact, plates, secant)
+        system.stiffness[self.model.pattern.row_start[nodes]] += blocks
+        return slip
+
+    def relative_residual(self, force: Floats, constraints: Constraints, contact: Contact) -> float:
         """Norm of the out-of-balance force over the larger plate force, or over the support force without plates."""
-        unbalanced = force * free
+        unbalanced = force.copy()
+        constraints.project(unbalanced)
         self.guard.project(unbalanced)
         scale = max(*contact.forces(force[:, 2]), 0.0)
         if not (contact.status != FREE).any():
@@ -158,7 +212,7 @@ class Solver:
         tangent: Tangent,
         force: Floats,
         volume_residual: Floats,
-        free: NDArray[np.bool_],
+        constraints: Constraints,
         gap: Floats,
         cg_tolerance: float,
     ) -> tuple[Floats, Floats]:
@@ -167,7 +221,7 @@ class Solver:
         prescribed[:, 2] = gap
         pressure_part = tangent.compliance * volume_residual
         rhs = -force - tangent.apply(prescribed)[0] - tangent.apply_coupling(pressure_part)
-        solved, iterations = tangent.solve(rhs, free, self.guard, cg_tolerance)
+        solved, iterations = tangent.solve(rhs, constraints, self.guard, cg_tolerance)
         self.counters.cg += iterations
         du = solved + prescribed
         return du, tangent.apply(du)[1] + pressure_part

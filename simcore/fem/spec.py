@@ -42,7 +42,7 @@ class Gravity(Spec):
 
 
 class CompressionSpec(Spec):
-    """Two rigid, frictionless, parallel plates move towards the middle of the breast by the same distance, until it is
+    """Two rigid, parallel plates move towards the middle of the breast by the same distance, until it is
     compressed by ``percent``; or, where one of them is given, to ``thickness_mm`` or to ``force_N``, and then
     ``percent`` is the most that is allowed."""
 
@@ -71,6 +71,13 @@ class CompressionSpec(Spec):
     material: MaterialSpec = NeoHookean()
     skin: SkinMembrane | None = Field(None, description="membrane on the surface; none where not given")
     gravity: Gravity | None = Field(None, description="weight of the tissue; none where not given")
+    friction: float = quantity(
+        "Coulomb's coefficient of skin on the plates; with friction at least 10 load steps are taken",
+        unit="1",
+        default=0.0,
+        ge=0.0,
+        le=1.0,
+    )
     chest_wall: Literal["free_in_plane", "fixed"] = Field(
         "free_in_plane",
         description="free_in_plane: held along x, free along y and z, without drift and roll. fixed: held altogether; "

@@ -10,6 +10,7 @@ from scipy.optimize import brentq
 from simcore.core.artifacts import Phantom, TetMesh
 from simcore.core.grid import Grid
 from simcore.fem import CompressionSpec, compress
+from simcore.fem.constraints import Constraints
 from simcore.fem.contact import Contact, Plates
 from simcore.fem.laws import ElementLaws
 from simcore.fem.linear import Guard, Tangent
@@ -163,7 +164,8 @@ def test_linear_solver_agrees_with_a_dense_one() -> None:
     free[mesh.nodes[:, 2] == -10.0, 2] = False
     guard = Guard.against_roll(mesh.nodes, mesh.wall)
     rhs = generator.normal(0, 1, (n, 3))
-    solved, iterations = tangent.solve(rhs, free, guard, 1e-7)
+    constraints_on = Constraints(free, np.zeros(n, dtype=bool), np.array([0.0, 0.0, 1.0]))
+    solved, iterations = tangent.solve(rhs, constraints_on, guard, 1e-7)
     constraints = np.zeros((2, n, 3))
     constraints[:, guard.nodes, 1] = guard.vectors.T
     keep = free.ravel()
