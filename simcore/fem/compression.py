@@ -2,16 +2,20 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
 from simcore.core.artifacts import Compression, Phantom, TetMesh
 from simcore.core.errors import SolverError
 from simcore.core.progress import Progress, part
-from simcore.fem.contact import Contact, Plates
+from simcore.fem.contact import Contact
 from simcore.fem.friction import Friction
 from simcore.fem.linear import Guard
 from simcore.fem.model import Model
 from simcore.fem.path import Target, follow
+from simcore.fem.plate_bending import BendingPlate
+from simcore.fem.press import ElasticPress, Press, RigidPress, SpringPress
 from simcore.fem.report import report, verify
 from simcore.fem.solver import Solver
 from simcore.fem.spec import CompressionSpec
@@ -30,20 +34,21 @@ def compress_mesh(mesh: TetMesh, phantom: Phantom, spec: CompressionSpec, progre
             code="no-chest-wall",
         )
     solver = solver_of(mesh, phantom, spec)
-    contact = Contact.none(mesh.skin, len(mesh.nodes))
+    contact = Contact.none(mesh.skin, len(mesh.nodes)).holding(mesh.wall)
     if spec.chest_wall == "fixed":
         contact = contact.without(mesh.wall)
     target = target_of(spec, float(np.ptp(mesh.nodes[:, 2])))
     # Friction depends on the way.
     load_steps = spec.load_steps if solver.friction is None else max(spec.load_steps, FRICTION_LOAD_STEPS)
-    solution = follow(solver, contact, target, load_steps, part(progress, 0.05, 0.98))
-    plates = Plates.at(mesh.nodes[:, 2], solution.steps[-1].percent)
+    solution = follow(solver, contact, target, load_steps, part(progress, 0.05, 0.98), press_of(spec))
+    plates = solution.state.plates
+    assert plates is not None  # no state but that of rest is without
     verify(solver, solution, plates)
     facts = report(mesh, solver, solution, plates)
     progress(1.0, f"compressed to {facts['thickness_mm']:.1f} mm")
     return Compression(
         displacement=solution.state.displacement,
-        plate_z=(plates.lower, plates.upper),
+        plate_z=plates.bounds(mesh.nodes + solution.state.displacement),
         force_N=0.5 * (facts["force_lower_N"] + facts["force_upper_N"]),
         outcome="converged",
         report=facts,
@@ -66,6 +71,19 @@ def solver_of(mesh: TetMesh, phantom: Phantom, spec: CompressionSpec) -> Solver:
         guard = Guard.none()
     friction = Friction(spec.friction) if spec.friction > 0 else None
     return Solver(model, fixed, guard, spec.tolerance, friction)
+
+
+def press_of(spec: CompressionSpec) -> Press:
+    """How the plates of ``spec`` give way."""
+    if spec.spring_paddle is not None:
+        paddle = spec.spring_paddle
+        return SpringPress(math.degrees(paddle.stiffness_Nmm_per_degree), paddle.pivot_mm)
+    if spec.elastic_plates is not None:
+        p = spec.elastic_plates
+        return ElasticPress(
+            BendingPlate.of(p.depth_mm, p.width_mm, p.thickness_mm, p.youngs_modulus_MPa, p.poissons_ratio)
+        )
+    return RigidPress(math.tan(math.radians(spec.paddle_angle_degrees)))
 
 
 def target_of(spec: CompressionSpec, thickness_mm: float) -> Target:

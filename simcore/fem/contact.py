@@ -6,7 +6,7 @@ Methods Appl. Mech. Engrg. 194 (2005).
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -51,6 +51,17 @@ class Plates:
         normal: Floats = np.array([-self.slope, 0.0, 1.0]) / np.hypot(1.0, self.slope)
         return normal
 
+    @property
+    def level(self) -> bool:
+        """Whether both are planes z = constant."""
+        return self.slope == 0.0 and self.lower_bend is None and self.upper_bend is None
+
+    def bounds(self, points: Floats) -> tuple[float, float]:
+        """(lowest, highest) z between the plates, mm: theirs where they are level, else that of the breast there."""
+        if self.level:
+            return self.lower, self.upper
+        return float(points[:, 2].min()), float(points[:, 2].max())
+
     def heights(self, points: Floats) -> tuple[Floats | float, Floats | float]:
         """z of the lower and the upper plate where the nodes are, mm. points: (n, 3), of all nodes."""
         lower: Floats | float = self.lower
@@ -70,11 +81,13 @@ class Contact:
 
     candidates: int64 (c,), nodes that may touch. status: int8 (n,), FREE, UPPER or LOWER.
     releases: int16 (n,), how often each node has left a plate in this load step.
+    held: int64 (w,), nodes whose x the chest wall holds, so that a tilted plate is not all that acts along x.
     """
 
     candidates: NDArray[np.int64]
     status: NDArray[np.int8]
     releases: NDArray[np.int16]
+    held: NDArray[np.int64] | None = None
 
     @classmethod
     def none(cls, skin: NDArray[np.int64], node_count: int) -> Contact:
@@ -83,10 +96,14 @@ class Contact:
 
     def without(self, nodes: NDArray[np.int64]) -> Contact:
         """The same, but ``nodes`` may not touch."""
-        return Contact(np.setdiff1d(self.candidates, nodes), self.status, self.releases)
+        return replace(self, candidates=np.setdiff1d(self.candidates, nodes))
+
+    def holding(self, nodes: NDArray[np.int64]) -> Contact:
+        """The same with ``nodes`` on the chest wall."""
+        return replace(self, held=nodes)
 
     def new_load_step(self) -> Contact:
-        return Contact(self.candidates, self.status, np.zeros_like(self.releases))
+        return replace(self, releases=np.zeros_like(self.releases))
 
     def updated(self, points: Floats, force: Floats, plates: Plates, *, may_release: bool) -> Contact:
         """Nodes behind a plate are put on it, nodes it would have to pull are released.
@@ -104,12 +121,25 @@ class Contact:
             leaving = c[(self.push(force, plates)[c] < -threshold) & (releases[c] < MAX_RELEASES)]
             status[leaving] = FREE
             releases[leaving] += 1
-        return Contact(c, status, releases)
+        return replace(self, status=status, releases=releases)
 
     def push(self, force: Floats, plates: Plates) -> Floats:
         """(n,) force with which a plate pushes each node along its normal, N; 0 for free nodes."""
-        upper = -(force @ plates.upper_normal) if plates.slope != 0.0 else -force[:, 2]
+        upper = -force[:, 2]
+        if plates.slope != 0.0:
+            normal = plates.upper_normal
+            upper = -(force @ normal)
+            if self.held is not None:
+                upper[self.held] = -force[self.held, 2] / normal[2]
         return np.where(self.status == UPPER, upper, np.where(self.status == LOWER, force[:, 2], 0.0))
+
+    def reaction(self, force: Floats, plates: Plates) -> Floats:
+        """(n, 3) normal forces of the plates on the nodes, N."""
+        push = self.push(force, plates)[:, None]
+        status = self.status[:, None]
+        return np.where(
+            status == UPPER, -push * plates.upper_normal, np.where(status == LOWER, push * [0, 0, 1.0], 0.0)
+        )
 
     def gap(self, points: Floats, plates: Plates) -> Floats:
         """(n,) way along z that brings each node of the active set onto its plate, 0 for free nodes, mm."""

@@ -14,6 +14,7 @@ ADVICE = {
     "ask for a smaller percent, more load_steps, a finer mesh or a smaller poissons_ratio",
     "unstable-material": "the material law loses its stability (St. Venant-Kirchhoff at a principal stretch of 0.577 "
     "at the latest; the least is {stretch:.3f}); ask for a smaller percent or for strain = hencky",
+    "paddle-turned": "the paddle turns by more than 26 degrees; ask for a stiffer spring or a smaller percent",
     "force-limit": "the plates press with more than force_limit_N = {limit:g} N; ask for a smaller percent, a softer "
     "material or a higher limit",
     "target-not-reached": "the plates press with {force:.4g} N where force_N = {target:g} is wanted and percent "

@@ -9,9 +9,10 @@ import numpy as np
 
 from simcore.core.progress import Progress, silent
 from simcore.fem import solver as newton
-from simcore.fem.contact import Contact, Plates
+from simcore.fem.contact import Contact
 from simcore.fem.materials.linear_elastic import ST_VENANT_KIRCHHOFF_STRETCH
 from simcore.fem.outcome import ADVICE, CompressionFailed
+from simcore.fem.press import Press, RigidPress
 from simcore.fem.solver import Counters, LoadStep, Solver, State, StepFailed
 from simcore.fem.strain import principal_stretches
 
@@ -51,13 +52,18 @@ class Solution:
 
 
 def follow(
-    solver: Solver, contact: Contact, target: Target, load_steps: int = 1, progress: Progress = silent
+    solver: Solver,
+    contact: Contact,
+    target: Target,
+    load_steps: int = 1,
+    progress: Progress = silent,
+    press: Press | None = None,
 ) -> Solution:
-    """From rest to ``target``; a load step that fails is halved.
+    """From rest to ``target``; a load step that fails is halved. press: rigid, level plates where not given.
 
     raises: CompressionFailed with the last good state
     """
-    path = _Path(solver, State.rest(contact), [], target, progress)
+    path = _Path(solver, press or RigidPress(), State.rest(contact), [], target, progress)
     size = target.percent / load_steps
     if target.force is None:
         path.advance(target.percent, size)
@@ -69,6 +75,7 @@ def follow(
 @dataclass
 class _Path:
     solver: Solver
+    press: Press
     state: State
     steps: list[LoadStep]
     target: Target
@@ -127,9 +134,8 @@ class _Path:
 
     def _try(self, percent: float, fraction: float) -> tuple[State, LoadStep] | None:
         report = _NewtonProgress(self.progress, self.fraction, max(fraction, self.fraction))
-        plates = Plates.at(self.solver.model.nodes[:, 2], percent)
         try:
-            state, step = self.solver.load_step(self.state, plates, report)
+            state, step = self.press.settle(self.solver, self.state, percent, report)
         except StepFailed as failure:
             self.failure = failure.code
             return None

@@ -28,13 +28,14 @@ def verify(solver: Solver, solution: Solution, plates: Plates) -> None:
     force = solver.forces(state)
     constraints = Constraints.of(solver.fixed, state.contact, plates)
     points = model.nodes + state.displacement
-    low, high = state.contact.forces(force[:, 2])
+    carried = model.internal_force(state.displacement, state.pressure)
+    low, high = state.contact.forces(carried[:, 2])
     weight = 0.0 if model.load is None else float(model.load[:, 2].sum())
-    held = float(force[solver.fixed[:, 2], 2].sum())
+    held = float(carried[solver.fixed[:, 2], 2].sum())
     values = [
         ("relative residual", solver.relative_residual(force, constraints, state.contact), solver.tolerance),
         ("penetration of a plate [mm]", state.contact.penetration(points, plates), 2 * GAP_MM),
-        ("pull of a plate on a node, relative", state.contact.relative_pull(force, plates), MAX_PULL),
+        ("pull of a plate on a node, relative", state.contact.relative_pull(carried, plates), MAX_PULL),
         (
             "imbalance of the plates, relative",
             abs(low - high + held + weight) / max(high, low, 1e-12),
@@ -66,10 +67,13 @@ def report(mesh: TetMesh, solver: Solver, solution: Solution, plates: Plates) ->
     )
     area = 0.5 * (area_lower + area_upper)
     force = solver.forces(state)
+    carried = model.internal_force(state.displacement, state.pressure)
+    wall = force[mesh.wall, 0] - state.contact.reaction(carried, plates)[mesh.wall, 0]
     drift, roll = _guarded(mesh, force)
     return {
         "percent": last.percent,
-        "thickness_mm": plates.upper - plates.lower,
+        "thickness_mm": float(np.subtract(*plates.bounds(deformed)[::-1])),
+        "plates": _plate_facts(plates, state.contact.status),
         "uncompressed_thickness_mm": float(np.ptp(model.nodes[:, 2])),
         "force_N": mean,
         "force_upper_N": last.force_upper,
@@ -92,13 +96,29 @@ def report(mesh: TetMesh, solver: Solver, solution: Solution, plates: Plates) ->
         "extent_y_mm": [float(deformed[:, 1].min()), float(deformed[:, 1].max())],
         "uncompressed_extent_x_mm": [float(model.nodes[:, 0].min()), float(model.nodes[:, 0].max())],
         "uncompressed_extent_y_mm": [float(model.nodes[:, 1].min()), float(model.nodes[:, 1].max())],
-        "wall_force_N": float(-force[mesh.wall, 0].sum()),
+        "wall_force_N": float(-wall.sum()),
         "guard_force_N": drift,
         "guard_moment_Nmm": roll,
         "relative_residual": last.residual,
         "load_steps": len(solution.steps),
         "newton_iterations": solution.counters.newton,
         "cg_iterations": solution.counters.cg,
+    }
+
+
+def _plate_facts(plates: Plates, status: NDArray[np.int8]) -> Report:
+    """Travel, tilt and bending of the plates."""
+    bends = [
+        0.0 if bend is None else float(np.abs(bend[status == plate]).max(initial=0.0))
+        for bend, plate in ((plates.lower_bend, LOWER), (plates.upper_bend, UPPER))
+    ]
+    return {
+        "lower_z_mm": plates.lower,
+        "upper_z_mm": plates.upper,
+        "upper_angle_degrees": float(np.degrees(np.arctan(plates.slope))),
+        "upper_pivot_x_mm": plates.pivot,
+        "lower_bend_mm": bends[0],
+        "upper_bend_mm": bends[1],
     }
 
 

@@ -149,7 +149,8 @@ class Solver:
                 if contact.relative_pull(force, plates) > MAX_PULL:
                     contact = contact.new_load_step()
                     continue
-                low, high = contact.forces(force[:, 2])
+                carried = force if self.friction is None else model.internal_force(u, p)
+                low, high = contact.forces(carried[:, 2])
                 return State(u, p, contact, plates, slip), LoadStep(np.nan, low, high, residual, iteration)
             tangent = Tangent(
                 model.pattern,

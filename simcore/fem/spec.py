@@ -41,6 +41,25 @@ class Gravity(Spec):
         return size * x, size * y, size * z
 
 
+class SpringPaddle(Spec):
+    """An upper plate that turns about a line along y until its spring holds the moment of the breast."""
+
+    stiffness_Nmm_per_degree: float = quantity("moment for a turn", unit="N mm/degree", gt=0.0, le=1e7)
+    pivot_mm: float = quantity(
+        "x of the line about which it turns; percent is the travel there", unit="mm", default=200.0, ge=-500.0, le=500.0
+    )
+
+
+class ElasticPlates(Spec):
+    """Plates that bend, Plexiglas by default: simply supported along three edges, free along the chest wall."""
+
+    thickness_mm: float = quantity("thickness of either plate", unit="mm", gt=0.0, le=50.0)
+    depth_mm: float = quantity("extent along x, from the chest wall", unit="mm", default=240.0, gt=0.0, le=500.0)
+    width_mm: float = quantity("extent along y", unit="mm", default=300.0, gt=0.0, le=600.0)
+    youngs_modulus_MPa: float = quantity("Young's modulus", unit="MPa", default=3000.0, gt=0.0, le=1e6)
+    poissons_ratio: float = quantity("Poisson's ratio", unit="1", default=0.37, ge=0.0, lt=0.5)
+
+
 class CompressionSpec(Spec):
     """Two rigid, parallel plates move towards the middle of the breast by the same distance, until it is
     compressed by ``percent``; or, where one of them is given, to ``thickness_mm`` or to ``force_N``, and then
@@ -78,6 +97,16 @@ class CompressionSpec(Spec):
         ge=0.0,
         le=1.0,
     )
+    paddle_angle_degrees: float = quantity(
+        "tilt of the upper plate about the chest wall; positive opens it towards the nipple, percent is its travel at "
+        "the chest wall",
+        unit="degree",
+        default=0.0,
+        ge=-20.0,
+        le=20.0,
+    )
+    spring_paddle: SpringPaddle | None = Field(None, description="an upper plate that turns on a spring")
+    elastic_plates: ElasticPlates | None = Field(None, description="plates that bend; rigid ones where not given")
     chest_wall: Literal["free_in_plane", "fixed"] = Field(
         "free_in_plane",
         description="free_in_plane: held along x, free along y and z, without drift and roll. fixed: held altogether; "
@@ -95,7 +124,10 @@ class CompressionSpec(Spec):
     )
 
     @model_validator(mode="after")
-    def _one_target(self) -> Self:
+    def _one_of_each(self) -> Self:
         if self.thickness_mm is not None and self.force_N is not None:
             raise ValueError("give thickness_mm or force_N, not both")
+        kinds = (self.paddle_angle_degrees != 0.0, self.spring_paddle is not None, self.elastic_plates is not None)
+        if sum(kinds) > 1:
+            raise ValueError("give one of paddle_angle_degrees, spring_paddle and elastic_plates")
         return self
