@@ -34,6 +34,7 @@ SHADOW_MARGIN = 1.03
 # Measured on the paper's case; docs/performance.md.
 BYTES_BASE = 500e6
 BYTES_PER_TETRAHEDRON = 6e3
+MESH_SECONDS_PER_TETRAHEDRON = {"tetwild": 5e-4, "lattice": 2e-5}
 
 
 def compressed_extent(spec: SimulationSpec) -> tuple[float, float, float]:
@@ -75,10 +76,11 @@ def estimate(spec: SimulationSpec) -> Estimate:
     volume = math.ceil(cz / spec.reconstruction.slice_mm) * pixels * scale**2
     stack = pixels * a.views
     tets = 35e3 * (5.5 / spec.mesh.edge_length_mm) ** 3
+    mesh_seconds = MESH_SECONDS_PER_TETRAHEDRON[spec.mesh.kind] * tets
     memory = BYTES_BASE + before + after + BYTES_PER_TETRAHEDRON * tets + 2 * stack + 2 * volume + max(after, 4 * stack)
     output = 4 * stack + 2 * volume + 0.02 * volume + 5e6
     storage = output + 0.05 * (before + after) + 2 * stack + 2 * volume
-    seconds = 2.0 + (before + 2 * after) / 150e6 + 5e-4 * tets + stack * 8e-8 + volume * a.views * 1e-9 + output / 3e8
+    seconds = 2.0 + (before + 2 * after) / 150e6 + mesh_seconds + stack * 8e-8 + volume * a.views * 1e-9 + output / 3e8
     return Estimate(
         voxels=int(before),
         memory_bytes=int(memory),

@@ -5,13 +5,13 @@ from __future__ import annotations
 import json
 from typing import Any, Self, get_args
 
-from pydantic import Field, ValidationError
+from pydantic import Field, ValidationError, model_validator
 
 from simcore.core.errors import SpecError
 from simcore.core.spec_base import Spec
 from simcore.dicom.spec import ExportSpec
 from simcore.fem.spec import CompressionSpec
-from simcore.mesh.spec import MeshSpec, TetwildMesh
+from simcore.mesh.spec import LatticeMesh, MeshSpec, TetwildMesh
 from simcore.phantom.spec import AnthropomorphicPhantom, PhantomSpec
 from simcore.projection.spec import AcquisitionSpec, PhysicsSpec
 from simcore.reconstruction.spec import FilteredBackprojection, ReconstructionSpec
@@ -23,6 +23,11 @@ class SimulationSpec(Spec):
 
     name: str = Field("", max_length=64, description="a label for people; changes no result")
     seed: int = Field(1, ge=0, le=2**63 - 1, description="seed of every random stream [1]")
+    reproducible: bool = Field(
+        False,
+        description="whether every byte must be the same again: then the mesh is a lattice where none is asked for, "
+        "and a mesher that is not reproducible is refused",
+    )
     phantom: PhantomSpec = AnthropomorphicPhantom()
     mesh: MeshSpec = TetwildMesh()
     compression: CompressionSpec = CompressionSpec()
@@ -31,6 +36,19 @@ class SimulationSpec(Spec):
     physics: PhysicsSpec = PhysicsSpec()
     reconstruction: ReconstructionSpec = FilteredBackprojection()
     export: ExportSpec = ExportSpec()
+
+    @model_validator(mode="before")
+    @classmethod
+    def _reproducible_mesh(cls, data: Any) -> Any:
+        if isinstance(data, dict) and data.get("reproducible") is True and "mesh" not in data:
+            return {**data, "mesh": LatticeMesh()}
+        return data
+
+    @model_validator(mode="after")
+    def _mesh_fits(self) -> Self:
+        if self.reproducible and self.mesh.kind == "tetwild":
+            raise ValueError("mesh.kind = 'tetwild' is not reproducible: leave mesh out, or take 'lattice'")
+        return self
 
     @classmethod
     def parse(cls, text: str | bytes) -> Self:

@@ -10,6 +10,7 @@ from pydantic import BaseModel, Field, ValidationError
 from simcore import estimate, presets
 from simcore.core.errors import ResourceLimitError, SpecError
 from simcore.core.spec_base import Spec
+from simcore.mesh.spec import LatticeMesh
 from simcore.spec import SimulationSpec, spec_error
 
 
@@ -84,6 +85,15 @@ def test_problems_inside_a_union_have_the_path_the_client_wrote(text: str, said:
     with pytest.raises(ValidationError) as caught:
         Drawing.model_validate_json(text)
     assert re.search(said, str(spec_error(Drawing, caught.value)))
+
+
+def test_a_reproducible_case_has_a_reproducible_mesh():
+    assert SimulationSpec.from_dict({}).mesh.kind == "tetwild"
+    assert SimulationSpec.from_dict({"reproducible": True}).mesh.kind == "lattice"
+    assert SimulationSpec(reproducible=True).mesh.kind == "lattice"
+    assert presets.get("paper-cup-c-20").with_(mesh=LatticeMesh()).with_(reproducible=True).mesh.kind == "lattice"
+    with pytest.raises(SpecError, match=r"mesh\.kind = 'tetwild' is not reproducible"):
+        SimulationSpec.from_dict({"reproducible": True, "mesh": {"kind": "tetwild"}})
 
 
 def test_all_problems_are_told_at_once():
