@@ -77,7 +77,9 @@ def get_manifest(identifier: Identifier, served: Served) -> Response:
 def get_archive(
     identifier: Identifier,
     served: Served,
-    only: Annotated[Literal["dicom", "preview"] | None, Query(description="files of this kind alone")] = None,
+    only: Annotated[
+        Literal["dicom", "mechanics", "preview"] | None, Query(description="files of this kind alone")
+    ] = None,
 ) -> StreamingResponse:
     """Files and manifest.json as a zip archive (zip64, stored), made while it is sent."""
     manifest = finished_manifest(served, identifier)

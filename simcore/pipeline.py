@@ -1,6 +1,6 @@
 """One case from specification to DICOM: the stages in order, each computed once and kept in the store.
 
-    phantom -> mesh -> fem -> warp -> projection -> reconstruction -> dicom -> preview
+    phantom -> mesh -> fem -> warp -> projection -> reconstruction -> dicom -> mechanics -> preview
 
 A second run of the same specification computes nothing; a run after a kill continues after the last whole stage;
 a sweep over acquisitions grows and compresses its phantom once.
@@ -21,19 +21,20 @@ from typing import Any, Generic, Protocol, TypeVar
 
 from simcore import __version__, dicom, fem, mesh, phantom, preview, projection, reconstruction, warp
 from simcore.core import files, memory
-from simcore.core.artifacts import Compression, Phantom, ProjectionStack, Report, Volume
+from simcore.core.artifacts import Compression, Phantom, ProjectionStack, Report, TetMesh, Volume
 from simcore.core.progress import Progress
 from simcore.core.store import FileRef, StageRecord, Store, digest
 from simcore.dicom.spec import ExportSpec
+from simcore.fem.materials import MaterialSpec
 from simcore.spec import SimulationSpec
 
-STAGES = ("phantom", "mesh", "fem", "warp", "projection", "reconstruction", "dicom", "preview")
+STAGES = ("phantom", "mesh", "fem", "warp", "projection", "reconstruction", "dicom", "mechanics", "preview")
 
 # Raised whenever a stage gives other bytes for the same specification: old results then no longer match.
 VERSIONS = dict.fromkeys(STAGES, 1)
 
 # Outputs that a client gets; the others (label volume, mesh, displacement, ...) stay in the store.
-PUBLIC_STAGES = ("dicom", "preview")
+PUBLIC_STAGES = ("dicom", "mechanics", "preview")
 PUBLIC_FILES = ("geometry.json",)
 
 
@@ -214,6 +215,12 @@ def run(spec: SimulationSpec, store: Store, progress: CaseProgress = silent) -> 
         lambda folder, _, p: _export(folder, export, description, stack, volume, warped, compressed, p),
     )
     case.file_stage(
+        "mechanics",
+        spec.compression.material.model_dump(),
+        {"phantom": grown, "mesh": meshed, "compression": compressed},
+        lambda folder, _, p: _mechanics(folder, spec.compression.material, grown, meshed, compressed),
+    )
+    case.file_stage(
         "preview",
         {},
         {"phantom": grown, "compressed": warped, "projections": stack, "volume": volume},
@@ -248,6 +255,17 @@ def _export(
         progress,
     )
     return {"files": len(names)}
+
+
+def _mechanics(
+    folder: Path,
+    material: MaterialSpec,
+    grown: StageResult[Phantom],
+    meshed: StageResult[TetMesh],
+    compressed: StageResult[Compression],
+) -> Report:
+    fem.write_vtu(folder / "compression.vtu", meshed.artifact, compressed.artifact, grown.artifact, material)
+    return {}
 
 
 def _previews(

@@ -54,7 +54,15 @@ def test_all_files_are_written(first, tmp_path):
     first.write(tmp_path)
     names = set(digests(tmp_path))
     views = {f"projections/{k + 1:04d}.dcm" for k in range(SPEC.acquisition.views)}
-    assert {"manifest.json", "geometry.json", "projections.dcm", "tomosynthesis.dcm", "labels.dcm", *views} <= names
+    assert {
+        "manifest.json",
+        "geometry.json",
+        "projections.dcm",
+        "tomosynthesis.dcm",
+        "labels.dcm",
+        "compression.vtu",
+        *views,
+    } <= names
     assert any(n.startswith("preview/") and n.endswith(".png") for n in names)
     listed = {n: ref["sha256"] for n, ref in first.manifest["files"].items()}
     assert listed == {n: d for n, d in digests(tmp_path).items() if n != "manifest.json"}
@@ -73,7 +81,7 @@ def test_a_second_run_computes_nothing_and_gives_the_same_files(first):
 def test_another_acquisition_of_the_same_breast_computes_only_what_differs(first):
     other = SPEC.with_(acquisition=SPEC.acquisition.with_(views=3))
     result = pipeline.run(other, first.store)
-    assert [s["name"] for s in result.manifest["stages"] if s["cached"]] == ["phantom", "mesh", "fem", "warp"]
+    assert [s["name"] for s in result.manifest["stages"] if s["cached"]] == ["phantom", "mesh", "fem", "warp", "mechanics"]
 
 
 def test_another_seed_is_another_breast(first):
@@ -87,7 +95,7 @@ def test_the_name_changes_no_result(first):
 
 def test_one_and_two_threads_give_the_same_bytes(first):
     """With the same mesh: all that follows it is forgotten and computed again with another number of threads."""
-    forget(first.store, {"phantom", "fem", "warp", "projection", "reconstruction", "dicom", "preview"})
+    forget(first.store, {"phantom", "fem", "warp", "projection", "reconstruction", "dicom", "mechanics", "preview"})
     before = numba.get_num_threads()
     numba.set_num_threads(1 if before > 1 else before)
     try:
