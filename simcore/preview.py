@@ -36,6 +36,9 @@ TISSUE_GREY: dict[Tissue, int] = {
     Tissue.MUSCLE: 165,
     Tissue.NIPPLE: 160,
     Tissue.DUCT: 205,
+    Tissue.TDLU: 195,
+    Tissue.ARTERY: 175,
+    Tissue.VEIN: 170,
 }
 """Grey value of each tissue, as in the sections of the phantom's publications: the denser, the brighter."""
 

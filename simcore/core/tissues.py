@@ -18,6 +18,9 @@ class Tissue(IntEnum):
     MUSCLE = 7
     NIPPLE = 8
     DUCT = 9
+    TDLU = 10
+    ARTERY = 11
+    VEIN = 12
 
 
 MAX_TISSUES = 16

@@ -36,6 +36,9 @@ _SEGMENTS: dict[Tissue, tuple[str, _Code, _Code]] = {
     Tissue.MUSCLE: ("Muscle", _TISSUE, ("91727004", "SCT", "Muscle")),
     Tissue.NIPPLE: ("Nipple", _STRUCTURE, ("24142002", "SCT", "Nipple")),
     Tissue.DUCT: ("Duct", _STRUCTURE, ("DUCT", "99TOMOSIM", "Lactiferous duct")),
+    Tissue.TDLU: ("Terminal duct lobular unit", _STRUCTURE, ("TDLU", "99TOMOSIM", "Terminal duct lobular unit")),
+    Tissue.ARTERY: ("Artery", _STRUCTURE, ("51114001", "SCT", "Artery")),
+    Tissue.VEIN: ("Vein", _STRUCTURE, ("29092000", "SCT", "Vein")),
 }
 """Label, property category and property type of every tissue."""
 

@@ -13,8 +13,12 @@ from simcore.phantom.outline import Outline
 from simcore.phantom.seeds import Layers, Region, Seeds, layers
 from simcore.phantom.spec import AnthropomorphicPhantom
 from simcore.phantom.survey import Survey, survey
+from simcore.phantom.texture import Texture
 
-DEFINITION = "gland voxels / (all voxels but air and skin); ligaments count as tissue, not as gland"
+DEFINITION = (
+    "gland and duct voxels / (all voxels but air, skin and nipple); ligaments count as tissue, not as gland; "
+    "as before lesions were put in"
+)
 
 _ENCLOSED = (0.08, 0.35)
 """Least and largest share of enclosed fat in the fibroglandular region."""
@@ -73,7 +77,7 @@ def enclosed_share(spec: AnthropomorphicPhantom, shape: Outline, border: Layers)
     return float(np.clip(1.0 - gland / interior - _LIGAMENT_SHARE, *_ENCLOSED))
 
 
-def settle(spec: AnthropomorphicPhantom, shape: Outline, seeds: Seeds) -> Compartments:
+def settle(spec: AnthropomorphicPhantom, shape: Outline, texture: Texture, seeds: Seeds) -> Compartments:
     """Makes the seeds glandular that come first, as many as come nearest to the volume of gland; then lets all of
     them start earlier or later by one common delay that meets it at the lattice points.
 
@@ -82,7 +86,7 @@ def settle(spec: AnthropomorphicPhantom, shape: Outline, seeds: Seeds) -> Compar
     """
     thickness = spec.compartments.ligament_mm
     order = np.lexsort((seeds.rank, seeds.small, seeds.region != Region.INTERIOR))
-    cells = survey(shape, seed_table(seeds.centres, seeds.metrics), 0, thickness)
+    cells = survey(shape, texture, seed_table(seeds.centres, seeds.metrics), 0, thickness)
     gland_seeds = _count_glandular(cells, order, spec.glandularity)
 
     glandular = np.zeros(len(seeds), dtype=bool)
@@ -94,7 +98,7 @@ def settle(spec: AnthropomorphicPhantom, shape: Outline, seeds: Seeds) -> Compar
 
     sort = np.argsort(~glandular, kind="stable")
     table = seed_table(seeds.centres[sort], seeds.metrics[sort])
-    cells = _balance(spec, shape, table, gland_seeds)
+    cells = _balance(spec, shape, texture, table, gland_seeds)
     volume_ml = np.bincount(cells.first, minlength=len(seeds)).astype(np.float64) * cells.point_ml
     return Compartments(table, gland_seeds, kinds[sort], volume_ml, cells.stride * spec.voxel_mm)
 
@@ -114,14 +118,16 @@ def _count_glandular(cells: Survey, order: NDArray[np.int64], glandularity: floa
     return 1 + int(np.argmin(np.abs(share - glandularity)))
 
 
-def _balance(spec: AnthropomorphicPhantom, shape: Outline, table: Float32, gland_seeds: int) -> Survey:
+def _balance(
+    spec: AnthropomorphicPhantom, shape: Outline, texture: Texture, table: Float32, gland_seeds: int
+) -> Survey:
     """Sets the common start of the glandular seeds in ``table``; returns the last survey.
 
     The volume of gland as a function of that start is the distribution of the margins, so one step is exact at the
     lattice points unless it exceeds the slack.
     """
     for _ in range(10):
-        cells = survey(shape, table, gland_seeds, spec.compartments.ligament_mm, _SLACK)
+        cells = survey(shape, texture, table, gland_seeds, spec.compartments.ligament_mm, _SLACK)
         points = len(cells.margin)
         wanted = round(spec.glandularity * points)
         have = int(np.count_nonzero(cells.margin > 0))

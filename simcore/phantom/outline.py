@@ -14,7 +14,8 @@ from numpy.typing import NDArray
 
 from simcore.core.errors import PhantomError
 from simcore.core.grid import Grid
-from simcore.phantom.spec import AnthropomorphicPhantom
+from simcore.core.tissues import Tissue
+from simcore.phantom.spec import AnthropomorphicPhantom, NippleSpec
 
 SemiAxes = tuple[float, float, float, float]
 """(depth a along x, half width b along y, upper half height c, lower half height c), mm."""
@@ -31,12 +32,14 @@ class Outline:
     grid:        corner at x = 0; z = 0 lies between two slices; 1 to 2 voxels of air on all other sides.
     breast_rows: int32 (nz, ny), voxels of the row inside the breast, counted from the chest wall.
     tissue_rows: int32 (nz, ny), voxels of the row inside the skin.
+    cover:       uint8 (nz, ny), the label of what lies between them: skin, or nipple.
     """
 
     axes: SemiAxes
     grid: Grid
     breast_rows: NDArray[np.int32]
     tissue_rows: NDArray[np.int32]
+    cover: NDArray[np.uint8]
 
     @property
     def breast_voxels(self) -> int:
@@ -60,11 +63,14 @@ def outline(spec: AnthropomorphicPhantom) -> Outline:
             f"skin_mm = {spec.skin_mm:g} mm is thicker than a breast of {spec.volume_ml:g} ml allows, whose smallest "
             f"radius of curvature is {smallest_radius:.2f} mm: take a thinner skin or a larger or rounder breast"
         )
-    grid = _grid(axes, spec.voxel_mm)
+    grid = _grid(axes, spec.voxel_mm, spec.nipple)
     y, z = grid.centres("y")[None, :], grid.centres("z")[:, None]
-    breast = _rows(_surface_depth(axes, y, z), spec.voxel_mm)
+    breast = _breast_rows(axes, grid, spec.nipple)
     tissue = np.minimum(breast, _rows(_inner_surface_depth(axes, y, z, spec.skin_mm), spec.voxel_mm))
-    result = Outline(axes, grid, breast, tissue)
+    cover = np.full(breast.shape, Tissue.SKIN, dtype=np.uint8)
+    if spec.nipple is not None:
+        cover[np.hypot(y, z) < spec.nipple.diameter_mm / 2] = Tissue.NIPPLE
+    result = Outline(axes, grid, breast, tissue, cover)
     if result.tissue_voxels == 0:
         raise PhantomError(
             f"skin_mm = {spec.skin_mm:g} mm leaves no voxel of {spec.voxel_mm:g} mm inside a breast of "
@@ -82,14 +88,26 @@ def similar_radius(
     return np.sqrt((x / a) ** 2 + (y / b) ** 2 + (z / c) ** 2)
 
 
-def _grid(axes: SemiAxes, voxel: float) -> Grid:
-    a, b, upper, lower = (math.ceil(axis / voxel) + 1 for axis in axes)
+def _grid(axes: SemiAxes, voxel: float, nipple: NippleSpec | None) -> Grid:
+    depth = axes[0] + (nipple.height_mm if nipple else 0.0)
+    a, b, upper, lower = (math.ceil(axis / voxel) + 1 for axis in (depth, *axes[1:]))
     return Grid((upper + lower, 2 * b, a), (voxel, voxel, voxel), (0.0, -b * voxel, -lower * voxel))
 
 
 def _rows(depth: NDArray[np.float64], voxel: float) -> NDArray[np.int32]:
     """Number of voxel centres between the chest wall and ``depth``."""
     return np.floor(depth / voxel + 0.5).astype(np.int32)
+
+
+def _breast_rows(axes: SemiAxes, grid: Grid, nipple: NippleSpec | None) -> NDArray[np.int32]:
+    """Voxels of each row inside the skin and the nipple, (nz, ny)."""
+    y, z = grid.centres("y")[None, :], grid.centres("z")[:, None]
+    depth = _surface_depth(axes, y, z)
+    if nipple is not None:
+        # Straight sides and a round tip: a superellipse of degree 4.
+        relative = np.minimum(1.0, np.hypot(y, z) / (nipple.diameter_mm / 2))
+        depth = depth + nipple.height_mm * (1.0 - relative**4) ** 0.25
+    return _rows(depth, grid.spacing[0])
 
 
 def _surface_depth(axes: SemiAxes, y: NDArray[np.float64], z: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -131,7 +149,7 @@ def _axes_for_counted_volume(spec: AnthropomorphicPhantom) -> SemiAxes:
     for step in range(61):
         for scale in (1.0 + 0.0015 * step, 1.0 - 0.0015 * step):
             a, b, upper, lower = (scale * axis for axis in spec.semi_axes())
-            error = abs(_counted_volume_ml((a, b, upper, lower), spec.voxel_mm) / spec.volume_ml - 1.0)
+            error = abs(_counted_volume_ml((a, b, upper, lower), spec) / spec.volume_ml - 1.0)
             if error < best_error:
                 best_error, best = error, (a, b, upper, lower)
         if best_error < VOLUME_TOLERANCE / 4:
@@ -144,7 +162,6 @@ def _axes_for_counted_volume(spec: AnthropomorphicPhantom) -> SemiAxes:
     return best
 
 
-def _counted_volume_ml(axes: SemiAxes, voxel: float) -> float:
-    grid = _grid(axes, voxel)
-    depth = _surface_depth(axes, grid.centres("y")[None, :], grid.centres("z")[:, None])
-    return float(_rows(depth, voxel).sum(dtype=np.int64)) * grid.voxel_volume * 1e-3
+def _counted_volume_ml(axes: SemiAxes, spec: AnthropomorphicPhantom) -> float:
+    grid = _grid(axes, spec.voxel_mm, spec.nipple)
+    return float(_breast_rows(axes, grid, spec.nipple).sum(dtype=np.int64)) * grid.voxel_volume * 1e-3

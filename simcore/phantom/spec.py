@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal, Self
 
-from pydantic import Field
+from pydantic import BeforeValidator, Field, model_validator
 
 from simcore.core.spec_base import Spec, quantity
+from simcore.phantom.lesions import LesionSpec
+from simcore.phantom.upload.spec import UploadedPhantom
 
 
 class OutlineSpec(Spec):
@@ -43,6 +45,52 @@ class CompartmentSpec(Spec):
     ligament_mm: float = quantity("thickness of the Cooper's ligaments", unit="mm", default=0.4, ge=0.0, le=2.0)
 
 
+class TextureSpec(Spec):
+    """Fractal modulation (fBm) of the borders of compartments, so that breasts differ in texture: each octave has half
+    the wavelength and half the strength of the one before."""
+
+    amplitude_mm: float = quantity(
+        "largest displacement of a border along each axis; its standard deviation is 0.4 of it; 0 is none",
+        unit="mm",
+        default=0.0,
+        ge=0.0,
+        le=10.0,
+    )
+    scale_mm: float = quantity("size of the coarsest bumps", unit="mm", default=8.0, ge=1.0, le=100.0)
+    octaves: int = Field(3, ge=1, le=5, description="number of octaves; the finest bumps are at least 1 mm [1]")
+
+    @model_validator(mode="after")
+    def _neither_folded_nor_too_fine(self) -> Self:
+        if self.amplitude_mm > 0.5 * self.scale_mm:
+            raise ValueError(
+                f"amplitude_mm = {self.amplitude_mm:g} would fold borders over: at most half of scale_mm, "
+                f"{0.5 * self.scale_mm:g}"
+            )
+        finest = self.scale_mm / 2 ** (self.octaves - 1)
+        if finest < 1.0:
+            raise ValueError(
+                f"octaves = {self.octaves} gives bumps of {finest:g} mm, below 1 mm: take fewer, or a larger scale_mm"
+            )
+        return self
+
+
+class NippleSpec(Spec):
+    """A rounded cylinder at the foremost point; its tissue also takes the place of the skin under it."""
+
+    diameter_mm: float = quantity("diameter", unit="mm", default=10.0, ge=2.0, le=30.0)
+    height_mm: float = quantity("how far it stands out of the skin", unit="mm", default=5.0, ge=0.0, le=20.0)
+
+
+class DuctSpec(Spec):
+    """Branching trees of ducts from the nipple into the fibroglandular region. They count as gland in the
+    glandularity."""
+
+    trees: int = Field(12, ge=1, le=30, description="number of trees, one a lobe [1]")
+    generations: int = Field(6, ge=1, le=9, description="times a duct branches [1]")
+    main_diameter_mm: float = quantity("diameter at the nipple", unit="mm", default=1.5, ge=0.2, le=6.0)
+    terminal_diameter_mm: float = quantity("diameter where they end", unit="mm", default=0.4, ge=0.1, le=6.0)
+
+
 class AnthropomorphicPhantom(Spec):
     """The phantom of the paper: outline, skin, adipose compartments, ligaments, fibroglandular region."""
 
@@ -62,10 +110,26 @@ class AnthropomorphicPhantom(Spec):
     skin_mm: float = quantity("skin thickness", unit="mm", default=1.45, ge=0.0, le=5.0)
     outline: OutlineSpec = OutlineSpec()
     compartments: CompartmentSpec = CompartmentSpec()
+    texture: TextureSpec = TextureSpec()
+    nipple: NippleSpec | None = Field(None, description="nipple; none where not given")
+    ducts: DuctSpec | None = Field(None, description="ducts; none where not given")
+    lesions: tuple[LesionSpec, ...] = Field(
+        (), max_length=100, strict=False, description="known objects; a later one takes the place of an earlier one"
+    )
 
     @classmethod
     def example(cls) -> AnthropomorphicPhantom:
         return cls()
+
+    @property
+    def voxels(self) -> int:
+        """About how many voxels its box has."""
+        depth, half_width, upper, lower = self.semi_axes()
+        return int(depth * 2 * half_width * (upper + lower) / self.voxel_volume_mm3)
+
+    @property
+    def voxel_volume_mm3(self) -> float:
+        return self.voxel_mm**3
 
     def semi_axes(self) -> tuple[float, float, float, float]:
         """(depth a along x, half width b along y, upper c, lower c), mm."""
@@ -75,5 +139,14 @@ class AnthropomorphicPhantom(Spec):
         return o.depth * s, o.half_width * s, o.upper * s, o.lower * s
 
 
-PhantomSpec = Annotated[AnthropomorphicPhantom, Field(description="how the breast is grown")]
+def _with_kind(data: Any) -> Any:
+    """Specifications written when there was one phantom name no kind."""
+    return {"kind": "anthropomorphic", **data} if isinstance(data, dict) else data
+
+
+PhantomSpec = Annotated[
+    AnthropomorphicPhantom | UploadedPhantom,
+    Field(discriminator="kind", description="how the breast is made"),
+    BeforeValidator(_with_kind),
+]
 """Union by ``kind``: a new phantom is one file and one more member here."""

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from simcore.phantom.cells import IDENTITY, ROWS, START, SXX, SXY, SXZ, SYY, SYZ, SZZ, Float32, X, Y, Z, keep_rivals
 from simcore.phantom.outline import Outline
+from simcore.phantom.texture import Texture, displaced, displaced_box
 
 SAMPLES = 300_000
 """About how many lattice points lie in the tissue."""
@@ -34,10 +35,12 @@ class Survey:
     point_ml: float
 
 
-def survey(outline: Outline, seeds: Float32, gland_seeds: int, thickness: float, slack: float = 0.0) -> Survey:
+def survey(
+    outline: Outline, texture: Texture, seeds: Float32, gland_seeds: int, thickness: float, slack: float = 0.0
+) -> Survey:
     """Evaluates the cells at lattice points.
 
-    seeds, gland_seeds, thickness: as in ``cells.label_voxels``; slack: reach of ``Survey.margin`` (delay).
+    texture, seeds, gland_seeds, thickness: as in ``raster.label_voxels``; slack: reach of ``Survey.margin`` (delay).
     """
     stride = max(1, round((outline.tissue_voxels / SAMPLES) ** (1 / 3)))
     rows = np.ascontiguousarray(outline.tissue_rows[stride // 2 :: stride, stride // 2 :: stride])
@@ -49,7 +52,19 @@ def survey(outline: Outline, seeds: Float32, gland_seeds: int, thickness: float,
     margin = np.empty(shape, dtype=np.float32)
     step = outline.grid.spacing[0]
     start = [corner + (stride // 2 + 0.5) * step for corner in outline.grid.corner]
-    _survey(seeds, gland_seeds, thickness, slack, rows.astype(np.int32), step * stride, *start, first, rival, margin)
+    _survey(
+        texture,
+        seeds,
+        gland_seeds,
+        thickness,
+        slack,
+        rows.astype(np.int32),
+        step * stride,
+        *start,
+        first,
+        rival,
+        margin,
+    )
     inside = first >= 0
     number = int(np.count_nonzero(inside))
     point_ml = outline.tissue_voxels * outline.grid.voxel_volume * 1e-3 / max(1, number)
@@ -57,7 +72,7 @@ def survey(outline: Outline, seeds: Float32, gland_seeds: int, thickness: float,
 
 
 @njit(cache=True, parallel=True, error_model="numpy")  # type: ignore[misc]
-def _survey(seeds, gland_seeds, thickness, slack, rows, step, x0, y0, z0, first, rival, margin):  # type: ignore[no-untyped-def]
+def _survey(texture, seeds, gland_seeds, thickness, slack, rows, step, x0, y0, z0, first, rival, margin):  # type: ignore[no-untyped-def]
     nz, ny = rows.shape
     n = seeds.shape[1]
     size = 8
@@ -76,21 +91,21 @@ def _survey(seeds, gland_seeds, thickness, slack, rows, step, x0, y0, z0, first,
                 deepest = max(deepest, rows[k, j])
         for i0 in range(0, deepest, size):
             x, y, z = np.float32(x0 + i0 * step), np.float32(y0 + j0 * step), np.float32(z0 + k0 * step)
-            in_block = keep_rivals(
-                seeds, n, x + half, y + half, z + half, half, half, half, reach, spare, work, steep, block
-            )
+            cx, cy, cz, hx, hy, hz = displaced_box(texture, x + half, y + half, z + half, half, half, half)
+            in_block = keep_rivals(seeds, n, cx, cy, cz, hx, hy, hz, reach, spare, work, steep, block)
             for part in range(8):
                 i1 = i0 + (part & 1) * 4
                 j1, k1 = j0 + ((part >> 1) & 1) * 4, k0 + (part >> 2) * 4
                 x, y, z = np.float32(x0 + i1 * step), np.float32(y0 + j1 * step), np.float32(z0 + k1 * step)
-                in_leaf = keep_rivals(
-                    block, in_block, x + quarter, y + quarter, z + quarter, quarter, quarter, quarter, reach, spare,
-                    work, steep, leaf,
-                )  # fmt: skip
+                cx, cy, cz, hx, hy, hz = displaced_box(
+                    texture, x + quarter, y + quarter, z + quarter, quarter, quarter, quarter
+                )
+                in_leaf = keep_rivals(block, in_block, cx, cy, cz, hx, hy, hz, reach, spare, work, steep, leaf)
                 for k in range(k1, min(nz, k1 + 4)):
                     for j in range(j1, min(ny, j1 + 4)):
                         for i in range(i1, min(rows[k, j], i1 + 4)):
                             x, y, z = np.float32(x0 + i * step), np.float32(y0 + j * step), np.float32(z0 + k * step)
+                            x, y, z = displaced(texture, x, y, z)
                             first[k, j, i], rival[k, j, i], margin[k, j, i] = _point(
                                 leaf, in_leaf, gland_seeds, x, y, z, reach, work, slope
                             )

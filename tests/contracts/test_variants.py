@@ -10,11 +10,13 @@ import pytest
 from simcore.core.spec_base import Spec
 from simcore.fem.materials import MaterialSpec
 from simcore.mesh.spec import MeshSpec
+from simcore.phantom.lesions import LesionSpec
 from simcore.phantom.spec import PhantomSpec
 from simcore.reconstruction.spec import ReconstructionSpec
 
 FAMILIES = {
     "simcore.phantom": PhantomSpec,
+    "simcore.phantom.lesions": LesionSpec,
     "simcore.mesh": MeshSpec,
     "simcore.fem": MaterialSpec,
     "simcore.reconstruction": ReconstructionSpec,
@@ -27,15 +29,21 @@ def members(union) -> set[type[Spec]]:
     return set(get_args(inner)) or {inner}
 
 
+def family(module: str) -> str:
+    """The innermost family that a module belongs to."""
+    return max((f for f in FAMILIES if (module + ".").startswith(f + ".")), key=len)
+
+
 def variants(package: str) -> set[type[Spec]]:
-    """All specifications with a ``kind`` that are defined below the package."""
+    """All specifications with a ``kind`` that are defined below the package and in no family inside it."""
     root = importlib.import_module(package)
     found = set()
     for info in pkgutil.walk_packages(root.__path__, package + "."):
         if info.name.endswith("_child"):
             continue
         for _, cls in inspect.getmembers(importlib.import_module(info.name), inspect.isclass):
-            if issubclass(cls, Spec) and "kind" in cls.model_fields and cls.__module__.startswith(package):
+            own = cls.__module__.startswith(package + ".") and family(cls.__module__) == package
+            if own and issubclass(cls, Spec) and "kind" in cls.model_fields:
                 found.add(cls)
     return found
 

@@ -2,7 +2,7 @@
 
 import json
 import re
-from typing import Annotated, Literal
+from typing import Annotated, Literal, get_args
 
 import pytest
 from pydantic import BaseModel, Field, ValidationError
@@ -108,13 +108,20 @@ def test_what_is_no_specification_is_refused(text: str):
         SimulationSpec.parse(text)
 
 
+def models(annotation) -> list[type[BaseModel]]:
+    """The models in an annotation: itself, the members of a union, what a list holds."""
+    if isinstance(annotation, type) and issubclass(annotation, BaseModel):
+        return [annotation]
+    return [model for part in get_args(annotation) for model in models(part)]
+
+
 def numbers(model: type[BaseModel], path: str = ""):
     for name, field in model.model_fields.items():
         here = f"{path}.{name}".lstrip(".")
-        annotation = field.annotation
-        if isinstance(annotation, type) and issubclass(annotation, BaseModel):
-            yield from numbers(annotation, here)
-        else:
+        inner = models(field.annotation)
+        for member in inner:
+            yield from numbers(member, here)
+        if not inner:
             yield here, field
 
 

@@ -22,6 +22,9 @@ FALLBACK = {
     Tissue.MUSCLE: Tissue.GLAND,
     Tissue.NIPPLE: Tissue.GLAND,
     Tissue.DUCT: Tissue.GLAND,
+    Tissue.TDLU: Tissue.GLAND,
+    Tissue.ARTERY: Tissue.GLAND,
+    Tissue.VEIN: Tissue.GLAND,
 }
 """Whose law a tissue takes that has none of its own. The skin carries its stiffness as a membrane, not as a layer that
 is thinner than a tetrahedron; air is what the mesh holds beyond the outline."""

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from typing import Literal
 
+from pydantic import Field
+
 from simcore.core.spec_base import Spec, quantity
 from simcore.fem.materials.law import Law, LawKind, bulk_modulus, shear_modulus
 
@@ -27,7 +29,9 @@ class LinearElastic(Spec):
     """
 
     kind: Literal["linear_elastic"] = "linear_elastic"
-    strain: Literal["hencky", "small", "green_lagrange"] = "hencky"
+    strain: Literal["hencky", "small", "green_lagrange"] = Field(
+        "hencky", description="hencky: logarithmic, for large strain; small: linear theory; green_lagrange: quadratic"
+    )
     youngs_modulus_kPa: float = quantity("Young's modulus", unit="kPa", default=48.6, gt=0.0, le=5000.0)
     poissons_ratio: float = quantity("Poisson's ratio", unit="1", default=0.475, ge=0.0, le=0.499)
 

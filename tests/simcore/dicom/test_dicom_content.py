@@ -250,8 +250,8 @@ def test_what_does_not_fit_is_refused(tmp_path: Path, small_case: SmallCase) -> 
         replace(small_case, stack=short).export(tmp_path)
     strange = make_phantom()
     labels = strange.labels.copy()
-    labels[labels == 9] = 12
-    with pytest.raises(ExportError, match=r"label 12.*9 duct"):
+    labels[labels == 9] = 15
+    with pytest.raises(ExportError, match=r"label 15.*9 duct"):
         replace(small_case, phantom=replace(strange, labels=labels)).export(tmp_path / "strange")
 
 

@@ -1,0 +1,1 @@
+"""Uploaded label volumes: formats, tissues, orientation."""

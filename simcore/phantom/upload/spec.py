@@ -1,0 +1,101 @@
+"""What to ask of an uploaded phantom."""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal, Self
+
+from pydantic import Field, model_validator
+
+from simcore.core.spec_base import Spec
+from simcore.phantom.upload.tissue_maps import TissueMap
+
+Axis = Literal["+x", "-x", "+y", "-y", "+z", "-z"]
+Axes = tuple[Axis, Axis, Axis]
+Count = Annotated[int, Field(ge=1, le=20_000)]
+Edge = Annotated[float, Field(ge=0.01, le=10.0)]
+Extent = Annotated[float, Field(gt=0.0, le=2000.0)]
+
+OWN_AXES: Axes = ("+z", "+y", "+x")
+"""The array axes of tomosim, slowest first."""
+
+
+class UploadedPhantom(Spec):
+    """A label volume that was added to the store (`tomosim phantom add`, `POST /v1/phantoms`; both print this part of
+    a specification). It is cut to its tissue; x = 0 is its first plane of tissue, which must be a flat chest wall."""
+
+    kind: Literal["uploaded"] = "uploaded"
+    sha256: str = Field(pattern="^[0-9a-f]{64}$", description="digest of the uploaded file")
+    shape: tuple[Count, Count, Count] = Field(
+        strict=False, description="voxels along the axes of the array, slowest first [1]"
+    )
+    spacing_mm: tuple[Edge, Edge, Edge] = Field(
+        strict=False,
+        json_schema_extra={"unit": "mm"},
+        description="voxel edges along the axes of the array, slowest first [mm]",
+    )
+    axes: Axes = Field(
+        OWN_AXES,
+        strict=False,
+        description="where each axis of the array, slowest first, leads: x from the chest wall to the nipple, y along "
+        "the tube travel, z from the breast support to the source",
+    )
+    tissues: TissueMap = Field(
+        "victre", description="tissue of every value: a known table, or an object such as {'0': 'air', '1': 'adipose'}"
+    )
+    compressed: bool = Field(False, description="already compressed along z: neither meshed nor compressed again")
+    thickness_mm: float | None = Field(
+        None,
+        gt=0.0,
+        le=500.0,
+        json_schema_extra={"unit": "mm"},
+        description="distance of the plates of a compressed phantom; the height of its tissue where not given [mm]",
+    )
+    force_N: float | None = Field(
+        None,
+        ge=0.0,
+        le=10000.0,
+        json_schema_extra={"unit": "N"},
+        description="force on a plate of a compressed phantom, where it is known [N]",
+    )
+    extent_mm: tuple[Extent, Extent, Extent] | None = Field(
+        None,
+        strict=False,
+        json_schema_extra={"unit": "mm"},
+        description="size of the tissue along (x, y, z), from which the needs are predicted; the whole array where "
+        "not given [mm]",
+    )
+
+    @model_validator(mode="after")
+    def _every_axis_once(self) -> Self:
+        if sorted(axis[1] for axis in self.axes) != ["x", "y", "z"]:
+            raise ValueError(f"axes = {list(self.axes)}: each of x, y and z once, such as {list(OWN_AXES)}")
+        if not self.compressed and (self.thickness_mm is not None or self.force_N is not None):
+            raise ValueError("thickness_mm and force_N are those of a phantom with compressed = true")
+        return self
+
+    @classmethod
+    def example(cls) -> UploadedPhantom:
+        return cls(sha256=64 * "0", shape=(300, 400, 350), spacing_mm=(0.4, 0.4, 0.4))
+
+    @property
+    def voxels(self) -> int:
+        """Voxels of the array."""
+        a, b, c = self.shape
+        return a * b * c
+
+    @property
+    def voxel_volume_mm3(self) -> float:
+        a, b, c = self.spacing_mm
+        return a * b * c
+
+    def size_mm(self) -> tuple[float, float, float]:
+        """Size of the tissue, or of the array where that is not known, along (x, y, z), mm."""
+        if self.extent_mm is not None:
+            return self.extent_mm
+        along = {axis[1]: n * d for axis, n, d in zip(self.axes, self.shape, self.spacing_mm, strict=True)}
+        return along["x"], along["y"], along["z"]
+
+    def semi_axes(self) -> tuple[float, float, float, float]:
+        """(depth along x, half width along y, upper and lower half height along z), mm."""
+        x, y, z = self.size_mm()
+        return x, y / 2, z / 2, z / 2

@@ -1,0 +1,80 @@
+"""Which tissue a value of an uploaded label volume is."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from typing import Annotated
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import AfterValidator
+
+from simcore.core.errors import SpecError
+from simcore.core.tissues import Tissue
+
+LARGEST_VALUE = 65535
+UNKNOWN = 255
+"""What stands in a table for a value that is no tissue."""
+
+VICTRE = {
+    0: Tissue.AIR,
+    1: Tissue.ADIPOSE,
+    2: Tissue.SKIN,
+    29: Tissue.GLAND,
+    33: Tissue.NIPPLE,
+    40: Tissue.MUSCLE,
+    50: Tissue.AIR,
+    88: Tissue.LIGAMENT,
+    95: Tissue.TDLU,
+    125: Tissue.DUCT,
+    150: Tissue.ARTERY,
+    200: Tissue.MASS,
+    225: Tissue.VEIN,
+    250: Tissue.CALCIFICATION,
+}
+"""Labels of the VICTRE phantoms. 50 is the compression paddle, which the acquisition brings along by itself."""
+
+BUILT_IN = {"victre": VICTRE, "tomosim": {int(t): t for t in Tissue}}
+NAMES = tuple(t.name.lower() for t in Tissue)
+
+
+def _checked(tissues: str | dict[str, str]) -> str | dict[str, str]:
+    if isinstance(tissues, str):
+        if tissues not in BUILT_IN:
+            raise ValueError(f"{tissues!r} is no known table: {', '.join(BUILT_IN)}, or an object {{value: tissue}}")
+        return tissues
+    if not tissues:
+        raise ValueError("no value has a tissue")
+    for value, name in tissues.items():
+        if not (value.isascii() and value.isdigit() and int(value) <= LARGEST_VALUE):
+            raise ValueError(f"{value!r} is no value of a voxel: whole numbers from 0 to {LARGEST_VALUE}")
+        if name not in NAMES:
+            raise ValueError(f"{name!r} (value {value}) is no tissue; there are: {', '.join(NAMES)}")
+    return tissues
+
+
+TissueMap = Annotated[str | dict[str, str], AfterValidator(_checked)]
+"""The name of a built-in map, or {value: tissue}."""
+
+
+def table(tissues: TissueMap) -> NDArray[np.uint8]:
+    """uint8 (LARGEST_VALUE + 1,): the tissue of every value, UNKNOWN where there is none."""
+    named = BUILT_IN[tissues] if isinstance(tissues, str) else {int(v): Tissue[n.upper()] for v, n in tissues.items()}
+    result = np.full(LARGEST_VALUE + 1, UNKNOWN, np.uint8)
+    for value, tissue in named.items():
+        result[value] = tissue
+    return result
+
+
+def refuse_unknown(values: Iterable[int]) -> None:
+    """raises: SpecError naming ``values`` that are no tissue"""
+    listed = sorted(values)
+    shown = ", ".join(map(str, listed[:20])) + (", ..." if len(listed) > 20 else "")
+    message = (
+        f"the tissue map names no tissue for {shown}; tissues: {', '.join(NAMES)}; built-in maps: {', '.join(BUILT_IN)}"
+    )
+    raise SpecError(
+        f"phantom.tissues: {message}",
+        code="unknown-label",
+        problems=[{"field": "phantom.tissues", "value": listed[0], "message": message}],
+    )
