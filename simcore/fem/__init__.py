@@ -13,13 +13,14 @@ __all__ = ["CompressionSpec", "compress", "write_vtu"]
 
 
 def compress(mesh: TetMesh, phantom: Phantom, spec: CompressionSpec, progress: Progress = silent) -> Compression:
-    """The equilibrium of ``mesh`` between two rigid, frictionless plates.
+    """The equilibrium of ``mesh`` between two plates, by default rigid and without friction.
 
-    mesh: tetrahedra in the breast frame, mm; its wall nodes are held along x and free along y and z.
+    mesh: tetrahedra in the breast frame, mm; its wall nodes are held along x and, by default, free along y and z.
     phantom: the labels the mesh was made from; laws that differ from tissue to tissue read them.
-    spec: wanted compression, percent of the extent along z, material, tolerance.
+    spec: wanted compression, materials, plates, chest wall.
     returns: Compression; forces in N. The plates have moved by the same distance towards the middle.
-    raises: SolverError (code "inverted-element" or "not-converged") with what to change.
+    raises: SolverError with what to change; on the way of the plates it is a simcore.fem.outcome.CompressionFailed with
+    the last good state. Codes: simcore.fem.outcome.ADVICE, "no-chest-wall", "mixed-strains".
     """
     # Here and not above: the specification is read where nothing may load compiled code.
     from simcore.fem.compression import compress_mesh

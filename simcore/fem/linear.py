@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from simcore.fem.constraints import Constraints
 from simcore.fem.model import Floats, Pattern
+from simcore.fem.preconditioner import invert_diagonal
 
 Array = NDArray[Any]
 
@@ -55,7 +56,7 @@ class Tangent:
         """
         preconditioner = np.empty((len(rhs), 3, 3))
         p = self.pattern
-        _invert_diagonal(
+        invert_diagonal(
             p.row_start, p.column, self.stiffness, self.coupling_upper, self.coupling_lower,
             self.compliance, constraints.free, constraints.gliding, constraints.normal, preconditioner,
         )  # fmt: skip
@@ -162,85 +163,6 @@ def _multiply_coupling(row_start: Array, column: Array, upper: Array, lower: Arr
                 y[a, i] += upper[k, i] * t[b]
                 if b != a:
                     y[b, i] += lower[k, i] * t[a]
-
-
-@njit(cache=True, nogil=True)
-def _invert_symmetric(S: Array, out: Array) -> None:
-    c00 = S[1, 1] * S[2, 2] - S[1, 2] * S[2, 1]
-    c01 = S[1, 2] * S[2, 0] - S[1, 0] * S[2, 2]
-    c02 = S[1, 0] * S[2, 1] - S[1, 1] * S[2, 0]
-    det = S[0, 0] * c00 + S[0, 1] * c01 + S[0, 2] * c02
-    out[0, 0], out[1, 0], out[2, 0] = c00 / det, c01 / det, c02 / det
-    out[0, 1] = (S[0, 2] * S[2, 1] - S[0, 1] * S[2, 2]) / det
-    out[1, 1] = (S[0, 0] * S[2, 2] - S[0, 2] * S[2, 0]) / det
-    out[2, 1] = (S[0, 1] * S[2, 0] - S[0, 0] * S[2, 1]) / det
-    out[0, 2] = (S[0, 1] * S[1, 2] - S[0, 2] * S[1, 1]) / det
-    out[1, 2] = (S[0, 2] * S[1, 0] - S[0, 0] * S[1, 2]) / det
-    out[2, 2] = (S[0, 0] * S[1, 1] - S[0, 1] * S[1, 0]) / det
-
-
-@njit(cache=True, nogil=True)
-def _invert_diagonal(
-    row_start: Array,
-    column: Array,
-    K: Array,
-    upper: Array,
-    lower: Array,
-    compliance: Array,
-    free: Array,
-    gliding: Array,
-    normal: Array,
-    M: Array,
-) -> None:
-    """M = inverses of the 3x3 diagonal blocks of K + B C^-1 B^T in the free directions, zero in the others: what they
-    leave of a vector has no part in the directions that are not free."""
-    n = row_start.shape[0] - 1
-    for a in range(n):
-        for i in range(3):
-            for j in range(3):
-                M[a, i, j] = K[row_start[a], i, j]
-    for a in range(n):
-        for k in range(row_start[a], row_start[a + 1]):
-            b = column[k]
-            for i in range(3):
-                for j in range(3):
-                    M[a, i, j] += upper[k, i] * compliance[b] * upper[k, j]
-                    if b != a:
-                        M[b, i, j] += lower[k, i] * compliance[a] * lower[k, j]
-    S = np.empty((3, 3))
-    for a in range(n):
-        for i in range(3):
-            for j in range(3):
-                S[i, j] = M[a, i, j] if free[a, i] and free[a, j] else 0.0
-            if not free[a, i]:
-                S[i, i] = 1.0
-        _invert_symmetric(S, M[a])
-        for i in range(3):
-            if not free[a, i]:
-                M[a, i, i] = 0.0
-        if gliding[a]:
-            _glide(S, free[a], normal, M[a])
-
-
-@njit(cache=True, nogil=True)
-def _glide(S: Array, free: Array, normal: Array, M: Array) -> None:
-    """M = P (P S P + 1 - P)^-1 P, with P the projector on the free directions across the normal."""
-    P, T, U = np.empty((3, 3)), np.empty((3, 3)), np.empty((3, 3))
-    square = 0.0
-    for i in range(3):
-        if free[i]:
-            square += normal[i] * normal[i]
-    for i in range(3):
-        for j in range(3):
-            P[i, j] = 0.0
-            if free[i] and free[j]:
-                P[i, j] = (1.0 if i == j else 0.0) - normal[i] * normal[j] / square
-    T[:] = P @ S @ P
-    for i in range(3):
-        for j in range(3):
-            T[i, j] += (1.0 if i == j else 0.0) - P[i, j]
-    _invert_symmetric(T, U)
-    M[:] = P @ U @ P
 
 
 @njit(cache=True, nogil=True)

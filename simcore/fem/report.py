@@ -25,10 +25,10 @@ def verify(solver: Solver, solution: Solution, plates: Plates) -> None:
     raises: SolverError, code "not-converged" or "inverted-element"
     """
     model, state = solver.model, solution.state
-    force = solver.forces(state)
+    carried = model.internal_force(state.displacement, state.pressure)
+    force = solver.with_friction(state, carried)
     constraints = Constraints.of(solver.fixed, state.contact, plates)
     points = model.nodes + state.displacement
-    carried = model.internal_force(state.displacement, state.pressure)
     low, high = state.contact.forces(carried[:, 2])
     weight = 0.0 if model.load is None else float(model.load[:, 2].sum())
     held = float(carried[solver.fixed[:, 2], 2].sum())
@@ -66,8 +66,8 @@ def report(mesh: TetMesh, solver: Solver, solution: Solution, plates: Plates) ->
         _contact_area(deformed, mesh.skin, state.contact.status == plate) for plate in (LOWER, UPPER)
     )
     area = 0.5 * (area_lower + area_upper)
-    force = solver.forces(state)
     carried = model.internal_force(state.displacement, state.pressure)
+    force = solver.with_friction(state, carried)
     wall = force[mesh.wall, 0] - state.contact.reaction(carried, plates)[mesh.wall, 0]
     drift, roll = _guarded(mesh, force)
     return {
@@ -84,7 +84,7 @@ def report(mesh: TetMesh, solver: Solver, solution: Solution, plates: Plates) ->
             "lower": int(np.count_nonzero(state.contact.status == LOWER)),
             "upper": int(np.count_nonzero(state.contact.status == UPPER)),
         },
-        "friction": _friction_facts(solver, solution, plates),
+        "friction": _friction_facts(solver, solution, plates, carried),
         "contact_area_mm2": area,
         "mean_pressure_kPa": 1e3 * mean / area if area > 0 else 0.0,
         "min_det_F": float(ratios.min()),
@@ -122,13 +122,13 @@ def _plate_facts(plates: Plates, status: NDArray[np.int8]) -> Report:
     }
 
 
-def _friction_facts(solver: Solver, solution: Solution, plates: Plates) -> Report | None:
+def _friction_facts(solver: Solver, solution: Solution, plates: Plates, carried: Floats) -> Report | None:
     """Tangential force of each plate along (x, y, z), N, as it acts on the breast, and the share of the pushed nodes
     that slide."""
     state = solution.state
     if solver.friction is None or state.slip is None:
         return None
-    push = state.contact.push(solver.model.internal_force(state.displacement, state.pressure), plates)
+    push = state.contact.push(carried, plates)
     resistance = solver.friction.resistance(state.slip, push)
     pushed = push > 0
     return {

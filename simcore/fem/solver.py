@@ -138,6 +138,8 @@ class Solver:
                 slip = self._add_friction(state, u, contact, plates, system, pace.secant)
             residual = self.relative_residual(force, constraints, contact)
             pace.next(residual, at_rest=changes == 0 and iteration > 0)
+            if not np.isfinite(residual):
+                raise StepFailed("not-converged")
             report(iteration, residual)
             if (
                 iteration > 0
@@ -168,12 +170,11 @@ class Solver:
             self.counters.newton += 1
         raise StepFailed("not-converged")
 
-    def forces(self, state: State) -> Floats:
-        """Internal force and friction less the dead load, (n, 3), N: what plates and chest wall carry besides."""
-        force = self.model.internal_force(state.displacement, state.pressure)
-        if self.friction is not None and state.slip is not None and state.plates is not None:
-            force += self.friction.resistance(state.slip, state.contact.push(force, state.plates))
-        return force
+    def with_friction(self, state: State, force: Floats) -> Floats:
+        """``force`` (n, 3), the internal one less the dead load, and the resistance of friction, N."""
+        if self.friction is None or state.slip is None or state.plates is None:
+            return force
+        return force + self.friction.resistance(state.slip, state.contact.push(force, state.plates))
 
     def _add_friction(
         self, before: State, u: Floats, contact: Contact, plates: Plates, system: System, secant: float
@@ -197,8 +198,8 @@ class Solver:
         self.guard.project(unbalanced)
         scale = max(*contact.forces(force[:, 2]), 0.0)
         if not (contact.status != FREE).any():
-            scale = float(np.linalg.norm(force[self.fixed]))
-        return float(np.linalg.norm(unbalanced)) / max(scale, 1e-12)
+            scale = _norm(force[self.fixed])
+        return _norm(unbalanced) / max(scale, 1e-12)
 
     def _forcing(self, iteration: int, residual: float) -> float:
         """How exactly to solve the linear system: no better than the next iteration can use."""
@@ -237,3 +238,8 @@ class Solver:
             if length < SHORTEST_STEP:
                 raise StepFailed("inverted-element")
         return length
+
+
+def _norm(values: Floats) -> float:
+    """Not numpy.linalg.norm: its sum depends on the number of threads."""
+    return float(np.sqrt((values * values).sum()))

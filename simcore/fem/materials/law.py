@@ -24,7 +24,8 @@ class Law:
     """A constitutive law as numbers: W = W_iso + kappa U(J), U = ((J^2 - 1)/2 - ln J) / 2.
 
     W_iso is integrated element by element, U with volumes averaged at the nodes, which keeps linear tetrahedra from
-    locking. coefficients: of W_iso, kPa or 1. shear, bulk: moduli at small strain, kPa.
+    locking. coefficients: of W_iso, kPa or 1. shear, bulk: moduli at small strain, kPa. A law that stiffens keeps this
+    bulk modulus: it needs a Poisson's ratio near 0.5 to keep its volume.
     """
 
     kind: LawKind

@@ -22,7 +22,7 @@ class Polynomial(Spec):
     c20_kPa: float = quantity("coefficient of (I1 - 3)^2", unit="kPa", ge=0.0, le=1000.0)
     c11_kPa: float = quantity("coefficient of (I1 - 3)(I2 - 3)", unit="kPa", ge=0.0, le=1000.0)
     c02_kPa: float = quantity("coefficient of (I2 - 3)^2", unit="kPa", ge=0.0, le=1000.0)
-    poissons_ratio: float = quantity("Poisson's ratio at small strain", unit="1", default=0.475, ge=0.0, le=0.499)
+    poissons_ratio: float = quantity("Poisson's ratio at small strain", unit="1", default=0.495, ge=0.0, le=0.499)
 
     @classmethod
     def example(cls) -> Polynomial:

@@ -18,7 +18,7 @@ class VerondaWestmann(Spec):
     kind: Literal["veronda_westmann"] = "veronda_westmann"
     youngs_modulus_kPa: float = quantity("Young's modulus at small strain", unit="kPa", gt=0.0, le=5000.0)
     exponent: float = quantity("growth alpha of the stiffness with I1", unit="1", gt=0.0, le=20.0)
-    poissons_ratio: float = quantity("Poisson's ratio at small strain", unit="1", default=0.475, ge=0.0, le=0.499)
+    poissons_ratio: float = quantity("Poisson's ratio at small strain", unit="1", default=0.495, ge=0.0, le=0.499)
 
     @classmethod
     def example(cls) -> VerondaWestmann:

@@ -19,7 +19,7 @@ class Wellman(Spec):
     kind: Literal["wellman"] = "wellman"
     youngs_modulus_kPa: float = quantity("Young's modulus b at small strain", unit="kPa", gt=0.0, le=5000.0)
     exponent: float = quantity("growth m of the stiffness with nominal compression", unit="1", ge=0.01, le=50.0)
-    poissons_ratio: float = quantity("Poisson's ratio at small strain", unit="1", default=0.475, ge=0.0, le=0.499)
+    poissons_ratio: float = quantity("Poisson's ratio at small strain", unit="1", default=0.495, ge=0.0, le=0.499)
 
     @classmethod
     def example(cls) -> Wellman:

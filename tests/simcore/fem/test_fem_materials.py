@@ -63,9 +63,12 @@ def polynomial(stretches: Any) -> Any:
 CASES: dict[str, tuple[Any, Energy]] = {
     "neo_hookean": (NeoHookean(), lambda s: 60.6 / (4 * (1 + NU)) * isochoric(s)[1]),
     "mooney_rivlin": (MooneyRivlin(c10_kPa=7.0, c01_kPa=3.0), lambda s: 7 * isochoric(s)[1] + 3 * isochoric(s)[2]),
-    "polynomial": (Polynomial(c10_kPa=1.5, c01_kPa=0.7, c20_kPa=2.5, c11_kPa=1.1, c02_kPa=3.0), polynomial),
-    "veronda_westmann": (VerondaWestmann(youngs_modulus_kPa=20.0, exponent=0.5), veronda),
-    "wellman": (Wellman(youngs_modulus_kPa=5.0, exponent=5.0), wellman_energy(5.0, 5.0)),
+    "polynomial": (
+        Polynomial(c10_kPa=1.5, c01_kPa=0.7, c20_kPa=2.5, c11_kPa=1.1, c02_kPa=3.0, poissons_ratio=NU),
+        polynomial,
+    ),
+    "veronda_westmann": (VerondaWestmann(youngs_modulus_kPa=20.0, exponent=0.5, poissons_ratio=NU), veronda),
+    "wellman": (Wellman(youngs_modulus_kPa=5.0, exponent=5.0, poissons_ratio=NU), wellman_energy(5.0, 5.0)),
     "hencky": (LinearElastic(), lambda s: 48.6 / (2 * (1 + NU)) * np.sum(np.log(isochoric(s)[0]) ** 2)),
 }
 EVERY = pytest.mark.parametrize("name", CASES)
