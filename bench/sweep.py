@@ -1,0 +1,216 @@
+"""Many compressions drawn at random; every one must converge and be right, or fail with a name.
+
+    python -m bench.sweep [--runs 200] [--seed 0]
+
+Cups, outlines, 20 to 70 %, nu 0.3 to 0.495, every material of the specification, skin, gravity, friction, a fixed
+wall, a tilted paddle, targets in mm; meshes of about 2k to 10k tetrahedra: structured, lattice and fTetWild from
+labels. What converged is looked at afresh, without the solver: plates in balance, nothing behind a plate, no
+element turned over, volume change within what the material allows, and for every fourth run the same answer in load
+steps of a quarter. Exit code 1 where one is silently wrong or 1 % fail. Last line: one JSON object.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+import time
+from collections import Counter
+from dataclasses import dataclass
+from typing import Any, get_args
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bench._bodies import C_CUP, Floats, SemiAxes, ellipsoid_labels, scaled_to
+from simcore.core.artifacts import Compression, Phantom, TetMesh
+from simcore.core.errors import SimulationError
+from simcore.core.tissues import Tissue
+from simcore.fem import CompressionSpec, compress
+from simcore.fem.materials import MaterialSpec
+from simcore.fem.spec import Gravity, SkinMembrane
+from simcore.mesh import build
+from simcore.mesh.spec import LatticeMesh, TetwildMesh
+from simcore.mesh.structured import half_ellipsoid
+from simcore.presets import CUPS
+
+OUTLINES: dict[str, SemiAxes] = {
+    "round": C_CUP,
+    "shallow": (60.0, 75.0, 65.0, 60.0),
+    "long": (130.0, 55.0, 55.0, 50.0),
+    "narrow": (80.0, 40.0, 70.0, 60.0),
+    "lopsided": (90.0, 60.0, 85.0, 40.0),
+}
+MESHERS = ("structured", "lattice", "tetwild")
+MESHES_EACH = 5
+RECHECKED = 4
+"""One run in so many is done again in finer load steps."""
+VOXEL_MM = 1.5
+MAX_IMBALANCE = 2e-3
+MAX_PENETRATION_MM = 1e-5
+MAX_PRESSURE_KPA = 2000.0
+"""Of the plates. The stiffest laws drawn give some hundreds at 70 %; more is an element crushed beyond its law."""
+MAX_STEPPING = 3e-3
+"""Relative difference of the force, and of nodes relative to the thickness, between coarse and fine load steps."""
+
+
+@dataclass(frozen=True, eq=False)
+class Subject:
+    """A mesh, the labels it is from, and what it is."""
+
+    name: str
+    mesh: TetMesh
+    phantom: Phantom
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--runs", type=int, default=200)
+    parser.add_argument("--seed", type=int, default=0)
+    args = parser.parse_args()
+    start = time.perf_counter()
+    generator = np.random.default_rng(args.seed)
+    subjects = [subject(kind, generator) for kind in MESHERS for _ in range(MESHES_EACH)]
+    named: list[dict[str, str]] = []
+    silent: list[str] = []
+    materials: Counter[str] = Counter()
+    for run in range(args.runs):
+        chosen, spec = subjects[run % len(subjects)], draw(generator)
+        what = f"{chosen.name}, {spec.material.kind}, {spec.model_dump_json(exclude_defaults=True)}"
+        materials[spec.material.kind] += 1
+        try:
+            result = compress(chosen.mesh, chosen.phantom, spec)
+            problems = faults(chosen.mesh, spec, result)
+            if run % RECHECKED == 0:
+                problems += disagreement(chosen, spec, result)
+        except SimulationError as failure:
+            named.append({"code": failure.code, "run": what})
+            print(f"{run}: {failure.code}: {what}: {failure}", file=sys.stderr, flush=True)
+            continue
+        silent += [f"{problem}: {what}" for problem in problems]
+        print(f"{run}: {result.force_N:.1f} N {problems or ''}", file=sys.stderr, flush=True)
+    for problem in silent:
+        print(f"silent: {problem}", file=sys.stderr)
+    print(
+        json.dumps(
+            {
+                "runs": args.runs,
+                "converged": args.runs - len(named),
+                "named_failures": len(named),
+                "silent": len(silent),
+                "seconds": round(time.perf_counter() - start, 1),
+                "failures": named,
+                "materials": dict(materials),
+                "tets": [len(s.mesh.tets) for s in subjects],
+            }
+        )
+    )
+    return 1 if silent or len(named) >= 0.01 * args.runs else 0
+
+
+def subject(kind: str, generator: np.random.Generator) -> Subject:
+    """A breast of random size and outline, meshed by ``kind``, with a core of gland."""
+    cup, outline = generator.choice(list(CUPS)), generator.choice(list(OUTLINES))
+    axes = scaled_to(OUTLINES[outline], CUPS[cup][0])
+    phantom = with_gland(ellipsoid_labels(axes, VOXEL_MM), axes)
+    if kind == "structured":
+        cells = int(generator.integers(8, 14))
+        return Subject(f"{kind} {cells}, cup {cup}, {outline}", half_ellipsoid(axes, cells), phantom)
+    edge = round(float(generator.uniform(8.5, 13.0)), 1)
+    spec = LatticeMesh(edge_length_mm=edge) if kind == "lattice" else TetwildMesh(edge_length_mm=edge, epsilon=2e-3)
+    return Subject(f"{kind} {edge} mm, cup {cup}, {outline}", build(phantom, spec), phantom)
+
+
+def with_gland(phantom: Phantom, semi_axes: SemiAxes) -> Phantom:
+    """The inner 0.7 of the ellipsoid as gland."""
+    core = ellipsoid_labels(tuple(0.7 * s for s in semi_axes), VOXEL_MM)  # type: ignore[arg-type]
+    labels = phantom.labels.copy()
+    offset = [round((c - p) / VOXEL_MM) for c, p in zip(core.grid.corner, phantom.grid.corner, strict=True)]
+    x, y, z = offset
+    nz, ny, nx = core.labels.shape
+    region = labels[z : z + nz, y : y + ny, x : x + nx]
+    region[core.labels[: region.shape[0], : region.shape[1], : region.shape[2]] > 0] = Tissue.GLAND
+    return Phantom(labels, phantom.grid)
+
+
+def draw(generator: np.random.Generator) -> CompressionSpec:
+    """A specification at random: a material of the union, a compression, and now and then an option."""
+    classes = get_args(get_args(MaterialSpec)[0])
+    material = classes[generator.integers(len(classes))].example()
+    if "poissons_ratio" in type(material).model_fields:
+        material = material.with_(poissons_ratio=round(float(generator.uniform(0.3, 0.495)), 4))
+    percent = round(float(generator.uniform(20, 70)), 1)
+    options: dict[str, Any] = {
+        "skin": SkinMembrane(youngs_modulus_kPa=500.0),
+        "gravity": Gravity(),
+        "friction": 0.3,
+        "chest_wall": "fixed",
+        "tilt_degrees": 3.0,
+        "load_steps": 3,
+    }
+    known = [name for name in options if name in CompressionSpec.model_fields]
+    chosen = [name for name in known if generator.random() < 0.08]
+    return CompressionSpec(percent=percent, material=material, **{name: options[name] for name in chosen})
+
+
+def faults(mesh: TetMesh, spec: CompressionSpec, result: Compression) -> list[str]:
+    """What is wrong with a result that claims to have converged."""
+    found = []
+    report = result.report
+    lower, upper = report["force_lower_N"], report["force_upper_N"]
+    weight = (
+        np.linalg.norm(spec.gravity.weight()) * six_volumes(mesh.nodes, mesh.tets).sum() / 6 if spec.gravity else 0.0
+    )
+    held_by_wall = spec.chest_wall == "fixed"
+    if not held_by_wall and abs(upper - lower) > MAX_IMBALANCE * max(upper, lower) + weight:
+        found.append(f"plates push with {lower:.3f} and {upper:.3f} N")
+    if report["mean_pressure_kPa"] > MAX_PRESSURE_KPA:
+        found.append(f"plates push with {lower:.4g} and {upper:.4g} N, {report['mean_pressure_kPa']:.4g} kPa")
+    after = mesh.nodes + result.displacement
+    if not np.isfinite(after).all() or result.force_N <= 0:
+        return [*found, f"force {result.force_N}, displacement finite: {np.isfinite(after).all()}"]
+    skin = after[np.unique(mesh.skin)]
+    low, high = result.plate_z
+    if spec.chest_wall == "free_in_plane" and not getattr(spec, "tilt_degrees", 0.0):
+        depth = max(float(skin[:, 2].max()) - high, low - float(skin[:, 2].min()))
+        if depth > MAX_PENETRATION_MM:
+            found.append(f"a node is {depth:.2e} mm behind a plate")
+    before, now = six_volumes(mesh.nodes, mesh.tets), six_volumes(after, mesh.tets)
+    if not (now / before).min() > 0:
+        found.append(f"an element has det F {(now / before).min():.3g}")
+    change = float(now.sum() / before.sum() - 1)
+    most = largest_loss(spec, result)
+    if not -most < change < 1e-2:
+        found.append(f"volume changed by {change:.4f}, at most {most:.4f} expected")
+    return found
+
+
+def largest_loss(spec: CompressionSpec, result: Compression) -> float:
+    """Share of volume that is lost where the mean pressure of the plates acts from all sides, in the softest law."""
+    material = spec.material
+    laws = material.laws().values() if hasattr(material, "laws") else [material.law()]
+    t = result.report["mean_pressure_kPa"] / min(law.bulk for law in laws)
+    around = 2.0 if spec.skin else 1.0
+    return float(1 + around * t - np.sqrt(1 + (around * t) ** 2)) + 1e-3
+
+
+def disagreement(chosen: Subject, spec: CompressionSpec, result: Compression) -> list[str]:
+    """The same in load steps of a quarter: an equilibrium does not depend on them (with friction it may)."""
+    if spec.friction:
+        return []
+    finer = compress(chosen.mesh, chosen.phantom, spec.with_(load_steps=4 * spec.load_steps))
+    force = abs(finer.force_N / result.force_N - 1)
+    nodes = float(np.abs(finer.displacement - result.displacement).max()) / result.thickness
+    if max(force, nodes) > MAX_STEPPING:
+        return [f"finer load steps change the force by {force:.2e} and a node by {nodes:.2e} of the thickness"]
+    return []
+
+
+def six_volumes(nodes: Floats, tets: NDArray[np.int64]) -> Floats:
+    corners = nodes[tets]
+    volumes: Floats = np.linalg.det(corners[:, 1:] - corners[:, :1])
+    return volumes
+
+
+if __name__ == "__main__":
+    sys.exit(main())
