@@ -6,7 +6,7 @@ Serial, so that every sum has one order and the result does not depend on the nu
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numba import njit
@@ -17,6 +17,14 @@ from simcore.fem.model import Floats, Pattern
 from simcore.fem.preconditioner import invert_diagonal
 
 Array = NDArray[Any]
+
+
+class Solved(NamedTuple):
+    """x: (n, 3). definite: whether A was positive along every direction that was tried."""
+
+    x: Floats
+    iterations: int
+    definite: bool
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,11 +56,11 @@ class Tangent:
 
     def solve(
         self, rhs: Floats, constraints: Constraints, guard: Guard, tolerance: float, max_iterations: int = 4000
-    ) -> tuple[Floats, int]:
+    ) -> Solved:
         """x with A x = rhs in the space that the constraints and the guard leave, (n, 3).
 
         tolerance: on the preconditioned residual, relative to its first value.
-        returns: (x, iterations). Where A is not positive along a direction it ends with what it has by then.
+        Where A is not positive along a direction it ends with what it has by then.
         """
         preconditioner = np.empty((len(rhs), 3, 3))
         p = self.pattern
@@ -62,10 +70,10 @@ class Tangent:
         )  # fmt: skip
         r = rhs.copy()
         constraints.project(r)
-        x, iterations = _conjugate_gradients(
+        x, iterations, definite = _conjugate_gradients(
             *self._arrays, preconditioner, r, guard.nodes, guard.vectors, tolerance, max_iterations
         )
-        return x, int(iterations)
+        return Solved(x, int(iterations), bool(definite))
 
     @property
     def _arrays(self) -> tuple[Array, ...]:
@@ -203,7 +211,7 @@ def _conjugate_gradients(
     row_start: Array, column: Array, K: Array, upper: Array, lower: Array, compliance: Array,
     M: Array, rhs: Array, guard_nodes: Array, guard_vectors: Array,
     tolerance: float, max_iterations: int,
-) -> tuple[Array, int]:  # fmt: skip
+) -> tuple[Array, int, bool]:  # fmt: skip
     r, z, product = rhs.copy(), np.empty_like(rhs), np.empty_like(rhs)
     x, t = np.zeros_like(rhs), np.empty(rhs.shape[0])
     _project(r, guard_nodes, guard_vectors)
@@ -212,11 +220,12 @@ def _conjugate_gradients(
     direction = z.copy()
     rz = _dot(r, z)
     limit = tolerance * tolerance * rz
-    iteration = 0
+    iteration, definite = 0, True
     while iteration < max_iterations and rz > limit:
         curvature = _multiply(row_start, column, K, upper, lower, compliance, direction, t, product)
         iteration += 1
         if not curvature > 0.0:
+            definite = False
             if iteration == 1:
                 x[:] = z
             break
@@ -230,4 +239,4 @@ def _conjugate_gradients(
         for a in range(direction.shape[0]):
             for i in range(3):
                 direction[a, i] = z[a, i] + beta * direction[a, i]
-    return x, iteration
+    return x, iteration, definite

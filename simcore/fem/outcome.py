@@ -12,6 +12,8 @@ ADVICE = {
     "more load_steps, a finer mesh or a smaller poissons_ratio",
     "not-converged": "Newton's method did not converge within {iterations} iterations, however short the load step; "
     "ask for a smaller percent, more load_steps, a finer mesh or a smaller poissons_ratio",
+    "unstable-equilibrium": "the tangent stiffness is not positive, the breast would buckle; ask for a smaller "
+    "percent, a law that does not soften or a fixed chest_wall",
     "unstable-material": "the material law loses its stability (St. Venant-Kirchhoff at a principal stretch of 0.577 "
     "at the latest; the least is {stretch:.3f}); ask for a smaller percent or for strain = hencky",
     "paddle-turned": "the paddle turns by more than 26 degrees; ask for a stiffer spring or a smaller percent",

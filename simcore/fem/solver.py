@@ -122,6 +122,7 @@ class Solver:
         force, node_volume = system.force, system.node_volume
         u, p, contact = state.displacement, state.pressure, state.contact.new_load_step()
         slip: Slip | None = None
+        definite = True
         pace = _Pace(_STALLED if self.friction is None else 1.0)
         for iteration in range(MAX_NEWTON):
             if not model.assemble(u, p, system) > 0:
@@ -151,24 +152,34 @@ class Solver:
                 if contact.relative_pull(force, plates) > MAX_PULL:
                     contact = contact.new_load_step()
                     continue
+                if not definite and not self._stable(self._tangent(system, compliance), constraints):
+                    raise StepFailed("unstable-equilibrium")
                 carried = force if self.friction is None else model.internal_force(u, p)
                 low, high = contact.forces(carried[:, 2])
                 return State(u, p, contact, plates, slip), LoadStep(np.nan, low, high, residual, iteration)
-            tangent = Tangent(
-                model.pattern,
-                system.stiffness.astype(np.float32),
-                system.coupling_upper.astype(np.float32),
-                system.coupling_lower.astype(np.float32),
-                1 / (model.node_volume * compliance),
-            )
-            du, dp = self._direction(
+            tangent = self._tangent(system, compliance)
+            du, dp, definite = self._direction(
                 tangent, force, volume_residual, constraints, gap, self._forcing(iteration, residual)
             )
             length = self._step_length(u, du)
             length *= pace.length
             u, p = u + length * du, p + length * dp
             self.counters.newton += 1
-        raise StepFailed("not-converged")
+        raise StepFailed("not-converged" if definite else "unstable-equilibrium")
+
+    def _tangent(self, system: System, compliance: Floats) -> Tangent:
+        return Tangent(
+            self.model.pattern,
+            system.stiffness.astype(np.float32),
+            system.coupling_upper.astype(np.float32),
+            system.coupling_lower.astype(np.float32),
+            1 / (self.model.node_volume * compliance),
+        )
+
+    def _stable(self, tangent: Tangent, constraints: Constraints) -> bool:
+        """Whether the tangent is positive along the directions that answer a load on every degree of freedom."""
+        load = np.cos(np.arange(constraints.free.size, dtype=np.float64)).reshape(-1, 3)
+        return tangent.solve(load, constraints, self.guard, _LAST_CG_TOLERANCE).definite
 
     def with_friction(self, state: State, force: Floats) -> Floats:
         """``force`` (n, 3), the internal one less the dead load, and the resistance of friction, N."""
@@ -217,16 +228,17 @@ class Solver:
         constraints: Constraints,
         gap: Floats,
         cg_tolerance: float,
-    ) -> tuple[Floats, Floats]:
-        """Newton's (du, dp): contact nodes go onto their plates, the pressure is condensed node by node."""
+    ) -> tuple[Floats, Floats, bool]:
+        """Newton's (du, dp), and whether the tangent was positive: contact nodes go onto their plates, the pressure is
+        condensed node by node."""
         prescribed = np.zeros_like(force)
         prescribed[:, 2] = gap
         pressure_part = tangent.compliance * volume_residual
         rhs = -force - tangent.apply(prescribed)[0] - tangent.apply_coupling(pressure_part)
-        solved, iterations = tangent.solve(rhs, constraints, self.guard, cg_tolerance)
-        self.counters.cg += iterations
-        du = solved + prescribed
-        return du, tangent.apply(du)[1] + pressure_part
+        solved = tangent.solve(rhs, constraints, self.guard, cg_tolerance)
+        self.counters.cg += solved.iterations
+        du = solved.x + prescribed
+        return du, tangent.apply(du)[1] + pressure_part, solved.definite
 
     def _step_length(self, u: Floats, du: Floats) -> float:
         """The longest of 1, 0.6, 0.36, ... that leaves every element its share of volume. raises: StepFailed"""

@@ -88,6 +88,15 @@ def test_force_limit_names_the_last_good_state(mesh: TetMesh, halved: Compressio
     )
 
 
+def test_a_slender_column_is_refused_where_it_buckles() -> None:
+    """Euler's strain between plates, 4 pi^2/12 (width/length)^2 = 3.3 %; two elements across are stiffer in bending."""
+    column = box((6.0, 6.0, 60.0), (2, 2, 20))
+    with pytest.raises(CompressionFailed, match="buckle") as error:
+        compress(column, ANY_PHANTOM, CompressionSpec(percent=20.0))
+    assert error.value.code == "unstable-equilibrium"
+    assert 3.3 < error.value.percent < 8
+
+
 def test_a_failure_survives_its_way_between_processes() -> None:
     failed = CompressionFailed("why", code="force-limit", percent=12.0, force_N=3.0, displacement=np.ones((2, 3)))
     other = pickle.loads(pickle.dumps(failed))
