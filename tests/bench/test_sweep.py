@@ -1,0 +1,81 @@
+"""The sweep's own eyes: what it must see in a result that claims to have converged."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from bench._bodies import C_CUP, ONE_TISSUE, ellipsoid_labels, scaled_to
+from bench.sweep import Subject, disagreement, draw, faults, with_gland
+from simcore.core.artifacts import Compression, TetMesh
+from simcore.core.tissues import Tissue
+from simcore.fem import CompressionSpec, compress
+from simcore.mesh.structured import half_ellipsoid
+
+SPEC = CompressionSpec(percent=40.0)
+
+
+@pytest.fixture(scope="module")
+def mesh() -> TetMesh:
+    return half_ellipsoid(C_CUP, 5)
+
+
+@pytest.fixture(scope="module")
+def result(mesh: TetMesh) -> Compression:
+    return compress(mesh, ONE_TISSUE, SPEC)
+
+
+def test_a_right_result_passes(mesh: TetMesh, result: Compression) -> None:
+    assert faults(mesh, SPEC, result) == []
+    assert disagreement(Subject("", mesh, ONE_TISSUE), SPEC, result) == []
+
+
+def test_unbalanced_plates(mesh: TetMesh, result: Compression) -> None:
+    wrong = replace(result, report=result.report | {"force_lower_N": 0.99 * result.force_N})
+    assert ["plates push" in fault for fault in faults(mesh, SPEC, wrong)] == [True]
+
+
+def test_absurd_pressure(mesh: TetMesh, result: Compression) -> None:
+    wrong = replace(result, report=result.report | {"mean_pressure_kPa": 1e5})
+    assert any("1e+05 kPa" in fault for fault in faults(mesh, SPEC, wrong))
+
+
+def test_a_node_behind_a_plate(mesh: TetMesh, result: Compression) -> None:
+    wrong = replace(result, plate_z=(result.plate_z[0], result.plate_z[1] - 0.01))
+    assert ["behind a plate" in fault for fault in faults(mesh, SPEC, wrong)] == [True]
+
+
+def test_an_inverted_element(mesh: TetMesh, result: Compression) -> None:
+    displacement = result.displacement.copy()
+    inner = np.setdiff1d(mesh.tets, mesh.skin)[0]
+    displacement[inner, 0] += 200.0
+    assert any("det F" in fault for fault in faults(mesh, SPEC, replace(result, displacement=displacement)))
+
+
+def test_lost_volume(mesh: TetMesh, result: Compression) -> None:
+    squeezed = replace(result, displacement=result.displacement - 0.1 * (mesh.nodes + result.displacement))
+    assert any("volume changed" in fault for fault in faults(mesh, SPEC, squeezed))
+
+
+def test_another_equilibrium(mesh: TetMesh, result: Compression) -> None:
+    other = replace(result, force_N=1.01 * result.force_N)
+    assert len(disagreement(Subject("", mesh, ONE_TISSUE), SPEC, other)) == 1
+
+
+def test_drawn_specifications_differ_and_cover_the_materials() -> None:
+    generator = np.random.default_rng(0)
+    specs = [draw(generator) for _ in range(150)]
+    assert len({spec.model_dump_json() for spec in specs}) > 140
+    assert len({spec.material.kind for spec in specs}) >= 6
+    assert all(20 <= spec.percent <= 70 for spec in specs)
+
+
+def test_gland_lies_inside() -> None:
+    axes = scaled_to(C_CUP, 450.0)
+    plain = ellipsoid_labels(axes, 1.5)
+    labels = with_gland(plain, axes).labels
+    assert plain.labels.sum() * 1.5**3 / 1e3 == pytest.approx(450.0, rel=0.01)
+    assert ((labels > 0) == (plain.labels > 0)).all()
+    assert (labels == Tissue.GLAND).sum() / (labels > 0).sum() == pytest.approx(0.7**3, rel=0.05)
