@@ -1,4 +1,4 @@
-"""From projections to a volume of attenuation coefficients: filtered back-projection and its operators."""
+"""From projections to a volume of attenuation coefficients: filtered and plain back-projection, iterative methods."""
 
 from __future__ import annotations
 
@@ -19,9 +19,6 @@ def reconstruct(
     thickness_mm: height of the compressed breast, mm: slices fill [support_height, support_height + thickness_mm].
     progress: called with a fraction in [0, 1] and a message.
     returns: Volume in the detector frame, uint16 (nz, ny, nx); attenuation [1/mm] = slope * data + intercept.
-    raises: GeometryError where the views do not span an angle or the slices reach the source.
+    raises: GeometryError where the views do not span an angle, the slices reach the source, or a region holds no voxel.
     """
-    # Here and not above: the specification is read where nothing may load compiled code.
-    from simcore.reconstruction.fbp import filtered_backprojection
-
-    return filtered_backprojection(stack, spec, thickness_mm, progress)
+    return spec.reconstruct(stack, thickness_mm, progress)

@@ -144,6 +144,43 @@ def _backproject_rows(
         clipped[block, 1] = high
 
 
+def quantise_slices(
+    values: FloatArray, shift: NDArray[np.int64], slope: float, intercept: float, out: NDArray[np.uint16]
+) -> tuple[int, int]:
+    """Fill ``out`` with attenuation as it is stored, zero where there is no value.
+
+    values: float32 (nz, ny, nx); shift: (z, y, x) of its first voxel in ``out``, uint16, of any size.
+    returns: number of voxels clipped at (0, 65535).
+    """
+    clipped = np.zeros((out.shape[0], 2), np.int64)
+    scale, offset = np.float32(1.0 / slope), np.float32(-intercept / slope)
+    _quantise_slices(values, (int(shift[0]), int(shift[1]), int(shift[2])), scale, offset, out, clipped)
+    return int(clipped[:, 0].sum()), int(clipped[:, 1].sum())
+
+
+@njit(cache=True, parallel=True, error_model="numpy")
+def _quantise_slices(
+    values: FloatArray,
+    first: tuple[int, int, int],
+    scale: np.float32,
+    shift: np.float32,
+    out: NDArray[np.uint16],
+    clipped: NDArray[np.int64],
+) -> None:
+    nz, ny, nx = values.shape
+    start, stop = max(first[2], 0), min(first[2] + nx, out.shape[2])
+    for z in prange(out.shape[0]):
+        row = np.empty(out.shape[2], np.float32)
+        for y in range(out.shape[1]):
+            k, j = z - first[0], y - first[1]
+            row[:] = np.float32(0.0)
+            if 0 <= k < nz and 0 <= j < ny and start < stop:
+                row[start:stop] = values[k, j, start - first[2] : stop - first[2]]
+            below, above = _quantise(row, scale, shift, out[z, y])
+            clipped[z, 0] += below
+            clipped[z, 1] += above
+
+
 @njit(cache=True, fastmath={"contract"}, error_model="numpy")
 def _quantise(
     attenuation: FloatArray, scale: np.float32, shift: np.float32, out: NDArray[np.uint16]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from concurrent.futures import ThreadPoolExecutor
-from math import ceil
+from dataclasses import replace
 
 import numba
 import numpy as np
@@ -13,18 +13,21 @@ from simcore.core.artifacts import ProjectionStack, Volume
 from simcore.core.errors import GeometryError
 from simcore.core.geometry import AcquisitionGeometry
 from simcore.core.grid import Grid
-from simcore.core.progress import Progress, silent
-from simcore.reconstruction.backprojection import backproject_quantised, plan_backprojection
+from simcore.core.progress import Progress, part, silent
+from simcore.reconstruction.backprojection import plan_backprojection
+from simcore.reconstruction.edges import Profile, thickness_profile
 from simcore.reconstruction.filters import (
     angular_steps,
+    chord_weights,
     filter_columns,
     frequency_response,
     padded_length,
     ray_weights,
 )
-from simcore.reconstruction.lanes import ROWS
+from simcore.reconstruction.grids import volume_grid, wanted_grid
+from simcore.reconstruction.kinds.fbp import FilteredBackprojection
 from simcore.reconstruction.line_integrals import line_integrals, lit_columns
-from simcore.reconstruction.spec import FilteredBackprojection
+from simcore.reconstruction.volumes import backprojected_volume, seen_columns
 
 FloatArray = NDArray[np.float32]
 COLUMNS = 64
@@ -42,53 +45,23 @@ def filtered_backprojection(
     the centre it changes with depth, as the fans of the missing views do not cancel.
     """
     geometry = stack.geometry
-    grid = volume_grid(geometry, spec, thickness_mm)
-    _check(geometry, grid)
-    filtered = filtered_views(stack, spec, float(np.mean(grid.centres("z"))), progress)
-
+    whole = volume_grid(geometry, spec, thickness_mm)
+    check(geometry, whole)
+    grid = wanted_grid(stack, spec, whole)
     plan = plan_backprojection(geometry, grid)
-    data = np.empty(grid.shape, np.uint16)
-    ny = grid.shape[1]
-    step = ROWS * max(1, ceil(ny / ROWS / 16))
-    low = high = 0
-    for start in range(0, ny, step):
-        rows = slice(start, min(start + step, ny))
-        progress(0.35 + 0.65 * start / ny, f"backprojecting row {start} of {ny}")
-        clipped = backproject_quantised(filtered, plan, rows, spec.value_slope, spec.value_intercept, data)
-        low, high = low + clipped[0], high + clipped[1]
-    progress(1.0, "reconstructed")
-    report = {
-        "slices": grid.shape[0],
-        "slice_mm": grid.spacing[2],
-        "pixel_mm": grid.spacing[0],
-        "clipped_voxels": low + high,
-        "clipped_low_voxels": low,
-        "clipped_high_voxels": high,
-    }
-    return Volume(data, grid, spec.value_slope, spec.value_intercept, report)
+    if spec.filter == "none":
+        plan = replace(plan, weight=np.ones_like(plan.weight))
+    filtered = filtered_views(stack, spec, whole, thickness_mm, seen_columns(plan, grid), part(progress, 0.0, 0.35))
+    return backprojected_volume(filtered, plan, grid, spec, part(progress, 0.35, 1.0))
 
 
-def volume_grid(geometry: AcquisitionGeometry, spec: FilteredBackprojection, thickness_mm: float) -> Grid:
-    """Slices from the breast support upwards over the area of the detector; the last may pass the paddle.
-
-    raises: GeometryError for a thickness that is not positive.
+def check(geometry: AcquisitionGeometry, grid: Grid) -> None:
     """
-    if not thickness_mm > 0:
-        raise GeometryError(f"thickness of the breast is {thickness_mm} mm; it must be above 0 mm")
-    detector = geometry.detector
-    pixel = detector.pixel if spec.pixel_mm is None else spec.pixel_mm
-    # The margin keeps 60 mm / 1 mm at 60 slices where the quotient is rounded upwards.
-    nx = ceil(detector.nx * detector.pixel / pixel - 1e-6)
-    ny = ceil(detector.ny * detector.pixel / pixel - 1e-6)
-    nz = ceil(thickness_mm / spec.slice_mm - 1e-6)
-    corner = (0.0, -ny * pixel / 2, geometry.support_height)
-    return Grid((nz, ny, nx), (pixel, pixel, spec.slice_mm), corner)
-
-
-def _check(geometry: AcquisitionGeometry, grid: Grid) -> None:
+    raises: GeometryError where no volume can be made of these views.
+    """
     if geometry.views < 2 or np.ptp(geometry.angles) <= 0:
         raise GeometryError(
-            f"filtered back-projection needs views at two angles at least; there are {geometry.views} view(s) over "
+            f"a volume needs views at two angles at least; there are {geometry.views} view(s) over "
             f"{np.ptp(geometry.angles):g} degrees: raise views or angular_range_degrees"
         )
     lowest = float(geometry.sources[:, 2].min())
@@ -99,28 +72,33 @@ def _check(geometry: AcquisitionGeometry, grid: Grid) -> None:
         )
     if np.any(np.abs(geometry.sources[:, 0]) > 1e-9):
         raise GeometryError(
-            f"source at x = {geometry.sources[:, 0].max():g} mm; filtered back-projection needs the tube to turn in "
-            "the plane of the chest wall, x = 0 mm"
+            f"source at x = {geometry.sources[:, 0].max():g} mm; back-projection needs the tube to turn in the plane "
+            "of the chest wall, x = 0 mm"
         )
 
 
 def filtered_views(
-    stack: ProjectionStack, spec: FilteredBackprojection, z_middle: float, progress: Progress = silent
+    stack: ProjectionStack,
+    spec: FilteredBackprojection,
+    whole: Grid,
+    thickness_mm: float,
+    columns: int | None = None,
+    progress: Progress = silent,
 ) -> FloatArray:
     """Line integrals of every view, weighted and filtered along y, times the view's angular step.
 
-    z_middle: height of the volume's middle, mm, where the slice thickness filter is exact.
+    whole: the volume; the slice thickness filter is exact in its middle. thickness_mm: of the breast.
+    columns: of the detector that are needed; all of them where not given.
     returns: float32 (views, ny, columns), 1/mm; columns beyond the last that holds signal are left out.
     """
     geometry = stack.geometry
-    ny = geometry.detector.ny
-    columns = lit_columns(stack) if geometry.stationary else geometry.detector.nx
-    filtered = np.empty((geometry.views, ny, columns), np.float32)
-    threads = numba.get_num_threads()
-    with ThreadPoolExecutor(threads) as pool:
+    detector = geometry.detector
+    lit = lit_columns(stack) if geometry.stationary else detector.nx
+    filtered = np.empty((geometry.views, detector.ny, lit if columns is None else min(lit, columns)), np.float32)
+    with ThreadPoolExecutor(numba.get_num_threads()) as pool:
         for view in range(geometry.views):
-            progress(0.35 * view / geometry.views, f"filtering view {view + 1} of {geometry.views}")
-            _filter_view(stack, spec, view, z_middle, filtered[view], pool)
+            progress(view / geometry.views, f"filtering view {view + 1} of {geometry.views}")
+            _filter_view(stack, spec, view, whole, thickness_mm, filtered[view], pool)
     return filtered
 
 
@@ -128,26 +106,51 @@ def _filter_view(
     stack: ProjectionStack,
     spec: FilteredBackprojection,
     view: int,
-    z_middle: float,
+    whole: Grid,
+    thickness_mm: float,
     filtered: FloatArray,
     pool: ThreadPoolExecutor,
 ) -> None:
     """Fill float32 (ny, columns) of one view, some columns at a time."""
     geometry = stack.geometry
     _, source_y, source_z = geometry.sources[view]
+    steps = angular_steps(geometry.angles)
     length = padded_length(geometry.detector.ny)
-    response = np.float32(angular_steps(geometry.angles)[view]) * frequency_response(
+    response = frequency_response(
         length,
         geometry.detector.pixel,
         spec,
         tan_angle=source_y / (source_z - geometry.isocenter_height),
-        magnification=source_z / (source_z - z_middle),
+        magnification=source_z / (source_z - float(np.mean(whole.centres("z")))),
     )
+    if spec.filter == "none":
+        response *= np.float32(steps[view] / steps.sum())
+    else:
+        response *= np.float32(steps[view])
+    profile = thickness_profile(stack, view, filtered.shape[1]) if spec.breast_edge == "flatten" else None
 
     def filter_block(start: int) -> None:
         columns = slice(start, min(start + COLUMNS, filtered.shape[1]))
-        weighted = line_integrals(stack, view, columns)
-        weighted *= ray_weights(geometry, view, columns)
-        filtered[:, columns] = filter_columns(weighted, response, length)
+        weighted = _weighted(stack, spec, view, columns, thickness_mm, profile)
+        filtered[:, columns] = filter_columns(weighted, response, length, extend=spec.detector_edge == "extend")
 
     list(pool.map(filter_block, range(0, filtered.shape[1], COLUMNS)))
+
+
+def _weighted(
+    stack: ProjectionStack,
+    spec: FilteredBackprojection,
+    view: int,
+    columns: slice,
+    thickness_mm: float,
+    profile: Profile | None,
+) -> FloatArray:
+    """Line integrals of some columns, float32 (ny, columns), ready for the filter."""
+    weighted = line_integrals(stack, view, columns)
+    if profile is not None:
+        profile.take_from(weighted, columns)
+    if spec.filter == "none":
+        weighted *= chord_weights(stack.geometry, view, columns, thickness_mm)
+    else:
+        weighted *= ray_weights(stack.geometry, view, columns)
+    return weighted

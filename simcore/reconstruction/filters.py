@@ -35,9 +35,11 @@ import scipy.fft
 from numpy.typing import NDArray
 
 from simcore.core.geometry import AcquisitionGeometry
-from simcore.reconstruction.spec import FilteredBackprojection
+from simcore.reconstruction.kinds.fbp import FilteredBackprojection
 
 FloatArray = NDArray[np.float32]
+WINDOWS = {"hann": 0.5, "hamming": 0.54}
+"""Apodisation of the ramp: value of the window half way to its cutoff."""
 
 
 def angular_steps(angles: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -60,16 +62,21 @@ def padded_length(ny: int) -> int:
 def frequency_response(
     length: int, pixel: float, spec: FilteredBackprojection, tan_angle: float, magnification: float
 ) -> FloatArray:
-    """Ramp x Hann x slice thickness at the frequencies of a real transform, 1/mm, float32 (length // 2 + 1,).
+    """Ramp x window x slice thickness at the frequencies of a real transform, 1/mm, float32 (length // 2 + 1,).
 
     length: padded length of a column. pixel: mm. tan_angle: of the view's tube angle about the pivot.
     magnification: of the middle of the volume; turns frequencies on the detector into those of the object.
+    Without a ramp (filter "none") the response has no unit.
     """
     frequency = scipy.fft.rfftfreq(length, pixel)
-    response = _ramp(length, pixel) * _hann(frequency, spec.hann_cutoff / (2 * pixel))
+    response = np.ones_like(frequency)
+    if spec.filter != "none":
+        response = _ramp(length, pixel) / (1.0 + (spec.regularisation_mm * frequency) ** 2)
+    if spec.filter in WINDOWS:
+        response *= _window(frequency, spec.hann_cutoff / (2 * pixel), WINDOWS[spec.filter])
     if spec.slice_thickness_filter:
         depth_frequency = frequency * magnification * abs(tan_angle)
-        response *= _hann(depth_frequency, spec.slice_cutoff / (2 * spec.slice_mm))
+        response *= _window(depth_frequency, spec.slice_cutoff / (2 * spec.slice_mm), WINDOWS["hann"])
     return response.astype(np.float32)
 
 
@@ -83,8 +90,9 @@ def _ramp(length: int, pixel: float) -> NDArray[np.float64]:
     return np.asarray(scipy.fft.rfft(kernel).real * pixel)
 
 
-def _hann(frequency: NDArray[np.float64], cutoff: float) -> NDArray[np.float64]:
-    return np.where(frequency < cutoff, 0.5 + 0.5 * np.cos(np.pi * frequency / cutoff), 0.0)
+def _window(frequency: NDArray[np.float64], cutoff: float, middle: float) -> NDArray[np.float64]:
+    """middle + (1 - middle) cos(pi f / cutoff) below the cutoff, zero from there on."""
+    return np.where(frequency < cutoff, middle + (1.0 - middle) * np.cos(np.pi * frequency / cutoff), 0.0)
 
 
 def ray_weights(geometry: AcquisitionGeometry, view: int, columns: slice) -> FloatArray:
@@ -98,8 +106,34 @@ def ray_weights(geometry: AcquisitionGeometry, view: int, columns: slice) -> Flo
     return np.asarray(np.divide(numerator.astype(np.float32)[:, None], weights, out=weights))
 
 
-def filter_columns(weighted: FloatArray, response: FloatArray, length: int) -> FloatArray:
-    """Every column of float32 (ny, columns) convolved with the filter; zeros beyond the detector. Same shape."""
+def chord_weights(geometry: AcquisitionGeometry, view: int, columns: slice, thickness_mm: float) -> FloatArray:
+    """One over the length of rays between two planes parallel to the detector, 1/mm, float32 (ny, columns).
+
+    thickness_mm: distance of the planes.
+    """
+    x, y, z = geometry.sources[view]
+    across = (geometry.detector.y_centres() - y)[:, None] ** 2 + (geometry.detector.x_centres()[columns] - x) ** 2
+    return np.asarray(z / (thickness_mm * np.sqrt(across + z**2)), np.float32)
+
+
+def filter_columns(weighted: FloatArray, response: FloatArray, length: int, extend: bool = False) -> FloatArray:
+    """Every column of float32 (ny, columns) convolved with the filter. Same shape.
+
+    extend: beyond the detector the values of its edges go on, fading out; else they are zero there.
+    """
+    ny = weighted.shape[0]
+    if extend:
+        weighted = _extended(weighted, length)
     spectrum = scipy.fft.rfft(weighted, length, axis=0)
     spectrum *= response[:, None]
-    return np.asarray(scipy.fft.irfft(spectrum, length, axis=0, overwrite_x=True)[: weighted.shape[0]])
+    return np.asarray(scipy.fft.irfft(spectrum, length, axis=0, overwrite_x=True)[:ny])
+
+
+def _extended(columns: FloatArray, length: int) -> FloatArray:
+    """float32 (length, n): beyond its last row each column fades out by a cosine, then in to its first, as the
+    transform goes round."""
+    ny = columns.shape[0]
+    beyond = length - ny
+    fading = np.cos(np.pi * (np.arange(beyond) + 0.5) / beyond).astype(np.float32)[:, None]
+    extension = np.maximum(fading, 0) * columns[-1] + np.maximum(-fading, 0) * columns[0]
+    return np.concatenate([columns, extension])

@@ -58,6 +58,15 @@ def line_integrals(stack: ProjectionStack, view: int, columns: slice) -> FloatAr
     return np.asarray(_resample_turned(stack.data[view], table, rows, scale, columns.start, columns.stop))
 
 
+def measured_pixels(geometry: AcquisitionGeometry, view: int, columns: slice) -> NDArray[np.bool_]:
+    """True for pixels of the plane z = 0 whose ray meets the detector of a view, (ny, columns)."""
+    detector = geometry.detector
+    rows, scale = _rows_on_turned_detector(geometry, view)
+    column = (np.arange(columns.start, columns.stop) + 0.5) * scale[:, None] - 0.5
+    met = (rows >= -0.5) & (rows <= detector.ny - 0.5)
+    return np.asarray(met[:, None] & (column <= detector.nx - 0.5))
+
+
 def _rows_on_turned_detector(
     geometry: AcquisitionGeometry, view: int
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:

@@ -9,63 +9,65 @@ interpolates on the detector, once a voxel.)
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
-from numba import njit, prange
 from numpy.typing import NDArray
 
 from simcore.core.errors import GeometryError
 from simcore.core.geometry import AcquisitionGeometry
 from simcore.core.grid import Grid
-from simcore.reconstruction.interpolation import add_two_rows, row_weights
-from simcore.reconstruction.lanes import ROWS, add_resampled_rows, padded_width, padding
+from simcore.reconstruction.lanes import padded_width, padding
+from simcore.reconstruction.slice_kernels import Gathering, backproject_views, project_view
 
 FloatArray = NDArray[np.float32]
 Coordinates = NDArray[np.float64]
 
 
-def project_slices(volume: FloatArray, grid: Grid, geometry: AcquisitionGeometry) -> FloatArray:
-    """Line integrals of a volume.
+@dataclass(frozen=True)
+class Crossings:
+    """Where rays cross slices: the ray to pixel [j, i] of a view passes slice z at voxel row
+    offsets[view, z, 0] + j steps[view, z, 0] and voxel column offsets[view, z, 1] + i steps[view, z, 1] (fractions).
 
-    volume: float32 (nz, ny, nx), attenuation, 1/mm. grid: where its voxels lie, detector frame.
-    returns: float32 (views, ny, nx) on the detector, no unit.
+    offsets, steps: float64 (views, nz, 2).
+    """
+
+    offsets: Coordinates
+    steps: Coordinates
+    grid: Grid
+    geometry: AcquisitionGeometry
+
+    def project(self, volume: FloatArray, view: int, projection: FloatArray) -> None:
+        """Sums of the interpolated slices along the rays of a view, without lengths.
+
+        volume: float32 (nz, ny, nx). projection: float32 (ny, nx), overwritten.
+        """
+        pad = padding(float(self.steps[view, :, 1].max()))
+        width = padded_width(projection.shape[1])
+        project_view(volume, self.offsets[view], self.steps[view], pad, width, projection)
+
+    def gathering(self, views: NDArray[np.int64]) -> Gathering:
+        """How the transpose reads projections of these views: float32 (len(views), ny, nx) in that order."""
+        offsets, steps = self.offsets[views], self.steps[views]
+        sources = np.round(self.geometry.sources[views][:, [0, 2]], 9)
+        order = np.lexsort(sources.T)
+        changes = np.any(np.diff(sources[order], axis=0) != 0, axis=1)
+        group_start = np.concatenate([[0], np.flatnonzero(changes) + 1, [len(order)]])
+        reach = float(1.0 / steps[:, :, 1].min())
+        return order, group_start, offsets, steps, padding(reach, reach), padded_width(self.grid.shape[2])
+
+    def ray_lengths(self, view: int) -> FloatArray:
+        """Length of every ray of a view within one slice, mm, float32 (ny, nx)."""
+        x, y, z = self.geometry.sources[view]
+        detector = self.geometry.detector
+        across = (detector.y_centres() - y)[:, None] ** 2 + (detector.x_centres() - x) ** 2
+        return np.asarray(self.grid.spacing[2] * np.sqrt(across + z**2) / z, np.float32)
+
+
+def crossings_of(grid: Grid, geometry: AcquisitionGeometry) -> Crossings:
+    """
     raises: GeometryError for a detector that turns, or a volume not between detector and source.
     """
-    _check(grid, geometry)
-    if volume.shape != grid.shape:
-        raise ValueError(f"volume {volume.shape} and grid {grid.shape} differ")
-    detector = geometry.detector
-    projections = np.zeros((geometry.views, detector.ny, detector.nx), np.float32)
-    offsets, steps = _crossings(grid, geometry)
-    slices = np.ascontiguousarray(volume, np.float32)
-    pad, width = padding(float(steps[:, :, 1].max())), padded_width(detector.nx)
-    for view in range(geometry.views):
-        _project_view(slices, offsets[view], steps[view], pad, width, projections[view])
-        projections[view] *= _ray_lengths(grid, geometry, view)
-    return projections
-
-
-def backproject(projections: FloatArray, grid: Grid, geometry: AcquisitionGeometry) -> FloatArray:
-    """The transpose of ``project_slices``.
-
-    projections: float32 (views, ny, nx). returns: float32 (nz, ny, nx), mm.
-    raises: GeometryError for a detector that turns, or a volume not between detector and source.
-    """
-    _check(grid, geometry)
-    detector = geometry.detector
-    if projections.shape != (geometry.views, detector.ny, detector.nx):
-        raise ValueError(f"projections {projections.shape} do not fit {geometry.views} views of {detector}")
-    volume = np.zeros(grid.shape, np.float32)
-    offsets, steps = _crossings(grid, geometry)
-    reach = float(1.0 / steps[:, :, 1].min())
-    pad, width = padding(reach, reach), padded_width(grid.shape[2])
-    padded = np.zeros((-(-detector.ny // ROWS) * ROWS, detector.nx + 2 * pad), np.float32)
-    for view in range(geometry.views):
-        padded[: detector.ny, pad : pad + detector.nx] = projections[view] * _ray_lengths(grid, geometry, view)
-        _backproject_view(padded, pad, offsets[view], steps[view], width, volume)
-    return volume
-
-
-def _check(grid: Grid, geometry: AcquisitionGeometry) -> None:
     if not geometry.stationary:
         raise GeometryError("the detector turns with the tube; project_slices and backproject need one at rest")
     lowest = float(geometry.sources[:, 2].min())
@@ -74,11 +76,6 @@ def _check(grid: Grid, geometry: AcquisitionGeometry) -> None:
             f"the volume lies at z = {grid.corner[2]:g} to {grid.upper[2]:g} mm; it must lie between the detector, "
             f"0 mm, and the lowest source, {lowest:g} mm"
         )
-
-
-def _crossings(grid: Grid, geometry: AcquisitionGeometry) -> tuple[Coordinates, Coordinates]:
-    """Where rays cross slices: the ray to pixel [j, i] passes a slice at voxel row offset[0] + j step[0] and column
-    offset[1] + i step[1] (fractions). Both float64 (views, nz, 2)."""
     detector = geometry.detector
     source = geometry.sources[:, None, :]
     shrink = 1.0 - grid.centres("z") / source[:, :, 2]
@@ -88,59 +85,39 @@ def _crossings(grid: Grid, geometry: AcquisitionGeometry) -> tuple[Coordinates, 
         crossing = source[:, :, axis] + (first - source[:, :, axis]) * shrink
         offsets[:, :, start] = (crossing - grid.corner[axis]) / grid.spacing[axis] - 0.5
         steps[:, :, start] = detector.pixel * shrink / grid.spacing[axis]
-    return offsets, steps
+    return Crossings(offsets, steps, grid, geometry)
 
 
-def _ray_lengths(grid: Grid, geometry: AcquisitionGeometry, view: int) -> FloatArray:
-    """Length of every ray within one slice, mm, float32 (ny, nx)."""
-    x, y, z = geometry.sources[view]
-    across = (geometry.detector.y_centres() - y)[:, None] ** 2 + (geometry.detector.x_centres() - x) ** 2
-    return np.asarray(grid.spacing[2] * np.sqrt(across + z**2) / z, np.float32)
+def project_slices(volume: FloatArray, grid: Grid, geometry: AcquisitionGeometry) -> FloatArray:
+    """Line integrals of a volume.
+
+    volume: float32 (nz, ny, nx), attenuation, 1/mm. grid: where its voxels lie, detector frame.
+    returns: float32 (views, ny, nx) on the detector, no unit.
+    raises: GeometryError for a detector that turns, or a volume not between detector and source.
+    """
+    crossings = crossings_of(grid, geometry)
+    if volume.shape != grid.shape:
+        raise ValueError(f"volume {volume.shape} and grid {grid.shape} differ")
+    detector = geometry.detector
+    projections = np.empty((geometry.views, detector.ny, detector.nx), np.float32)
+    slices = np.ascontiguousarray(volume, np.float32)
+    for view in range(geometry.views):
+        crossings.project(slices, view, projections[view])
+        projections[view] *= crossings.ray_lengths(view)
+    return projections
 
 
-@njit(cache=True, parallel=True, error_model="numpy")
-def _project_view(
-    volume: FloatArray, offset: Coordinates, step: Coordinates, pad: int, width: int, projection: FloatArray
-) -> None:
-    """Fill float32 (ny, nx) of one view with sums over slices; ROWS detector rows belong to one thread."""
-    nz, ny, nx = volume.shape
-    detector_rows, columns = projection.shape
-    for block in prange((detector_rows + ROWS - 1) // ROWS):
-        j0 = block * ROWS
-        count = min(ROWS, detector_rows - j0)
-        crossed = np.zeros((ROWS, nx + 2 * pad), np.float32)
-        sums = np.zeros((ROWS, width), np.float32)
-        for z in range(nz):
-            for r in range(count):
-                row = crossed[r, pad : pad + nx]
-                row[:] = 0.0
-                first, second, lower, upper = row_weights(offset[z, 0] + (j0 + r) * step[z, 0], ny)
-                add_two_rows(volume[z, first], volume[z, second], np.float32(lower), np.float32(upper), row)
-            add_resampled_rows(crossed, pad, offset[z, 1], step[z, 1], 1.0, sums)
-        projection[j0 : j0 + count] = sums[:count, :columns]
+def backproject(projections: FloatArray, grid: Grid, geometry: AcquisitionGeometry) -> FloatArray:
+    """The transpose of ``project_slices``.
 
-
-@njit(cache=True, parallel=True, error_model="numpy")
-def _backproject_view(
-    padded: FloatArray, pad: int, offset: Coordinates, step: Coordinates, width: int, volume: FloatArray
-) -> None:
-    """Add one view, float32 (rows, pad + nx + pad), to every slice; a slice belongs to one thread."""
-    nz, ny, nx = volume.shape
-    for z in prange(nz):
-        spread = np.empty((ROWS, width), np.float32)
-        for j0 in range(0, padded.shape[0], ROWS):
-            spread[:] = 0.0
-            first_column = -offset[z, 1] / step[z, 1]
-            reach = 1.0 / step[z, 1]
-            add_resampled_rows(padded[j0 : j0 + ROWS], pad, first_column, reach, reach, spread)
-            for r in range(ROWS):
-                first, second, lower, upper = row_weights(offset[z, 0] + (j0 + r) * step[z, 0], ny)
-                _add_scaled(spread[r, :nx], np.float32(lower), volume[z, first])
-                _add_scaled(spread[r, :nx], np.float32(upper), volume[z, second])
-
-
-@njit(cache=True, fastmath={"contract"}, error_model="numpy")
-def _add_scaled(row: FloatArray, factor: np.float32, total: FloatArray) -> None:
-    if factor != 0.0:
-        for i in range(len(total)):
-            total[i] += factor * row[i]
+    projections: float32 (views, ny, nx). returns: float32 (nz, ny, nx), mm.
+    raises: GeometryError for a detector that turns, or a volume not between detector and source.
+    """
+    crossings = crossings_of(grid, geometry)
+    detector = geometry.detector
+    if projections.shape != (geometry.views, detector.ny, detector.nx):
+        raise ValueError(f"projections {projections.shape} do not fit {geometry.views} views of {detector}")
+    lengthened = np.stack([projections[view] * crossings.ray_lengths(view) for view in range(geometry.views)])
+    volume = np.empty(grid.shape, np.float32)
+    backproject_views(lengthened, crossings.gathering(np.arange(geometry.views)), volume)
+    return volume
