@@ -43,6 +43,8 @@ def compressed_extent(spec: SimulationSpec) -> tuple[float, float, float]:
     Where the compression goes to a force, whose place on the way is not known before: the largest of each.
     """
     depth, half_width, upper, lower = spec.phantom.semi_axes()
+    if spec.phantom.compressed:
+        return depth, 2 * half_width, upper + lower
     c = spec.compression
     most = least = c.percent / 100
     if c.thickness_mm is not None:
@@ -65,19 +67,18 @@ def _interpolate(fraction: float, growth: tuple[float, ...]) -> float:
 
 def estimate(spec: SimulationSpec) -> Estimate:
     """Memory, bytes and seconds; good to some 20 %."""
-    depth, half_width, upper, lower = spec.phantom.semi_axes()
-    voxel = spec.phantom.voxel_mm**3
-    before = depth * 2 * half_width * (upper + lower) / voxel
+    before = spec.phantom.voxels
     cx, cy, cz = compressed_extent(spec)
-    after = cx * cy * cz / voxel
+    after = cx * cy * cz / spec.phantom.voxel_volume_mm3
     a = spec.acquisition
     pixels = a.detector.pixels_x * a.detector.pixels_y
     scale = 1.0 if spec.reconstruction.pixel_mm is None else a.detector.pixel_mm / spec.reconstruction.pixel_mm
     volume = math.ceil(cz / spec.reconstruction.slice_mm) * pixels * scale**2
     stack = pixels * a.views
-    tets = 35e3 * (5.5 / spec.mesh.edge_length_mm) ** 3
+    tets = 0.0 if spec.phantom.compressed else 35e3 * (5.5 / spec.mesh.edge_length_mm) ** 3
     mesh_seconds = MESH_SECONDS_PER_TETRAHEDRON[spec.mesh.kind] * tets
-    memory = BYTES_BASE + before + after + BYTES_PER_TETRAHEDRON * tets + 2 * stack + 2 * volume + max(after, 4 * stack)
+    held = spec.phantom.voxels_held
+    memory = BYTES_BASE + held + after + BYTES_PER_TETRAHEDRON * tets + 2 * stack + 2 * volume + max(after, 4 * stack)
     output = 4 * stack + 2 * volume + 0.02 * volume + 5e6
     storage = output + 0.05 * (before + after) + 2 * stack + 2 * volume
     seconds = 2.0 + (before + 2 * after) / 150e6 + mesh_seconds + stack * 8e-8 + volume * a.views * 1e-9 + output / 3e8
@@ -102,8 +103,8 @@ def check(spec: SimulationSpec, memory_limit_bytes: int | None = None) -> Estima
     limit = physical_bytes() if memory_limit_bytes is None else memory_limit_bytes
     if needs.memory_bytes > limit:
         raise ResourceLimitError(
-            f"phantom.voxel_mm = {spec.phantom.voxel_mm:g} with a breast of {spec.phantom.volume_ml:g} ml and "
-            f"{spec.acquisition.views} views needs {needs.memory_bytes / 1e9:.1f} GB of memory; "
+            f"{spec.phantom.size_in_words} and {spec.acquisition.views} views needs "
+            f"{needs.memory_bytes / 1e9:.1f} GB of memory; "
             f"{limit / 1e9:.1f} GB are allowed: use larger voxels, fewer views or thicker slices"
         )
     return needs

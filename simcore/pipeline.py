@@ -26,6 +26,8 @@ from simcore.core.progress import Progress
 from simcore.core.store import FileRef, StageRecord, Store, digest
 from simcore.dicom.spec import ExportSpec
 from simcore.fem.materials import MaterialSpec
+from simcore.phantom.upload import registry
+from simcore.phantom.upload.spec import UploadedPhantom
 from simcore.spec import SimulationSpec
 
 STAGES = ("phantom", "mesh", "fem", "warp", "projection", "reconstruction", "dicom", "mechanics", "preview")
@@ -141,6 +143,10 @@ class _Run:
         self.records.append(result)
         return result
 
+    def leave_out(self, name: str) -> None:
+        """Tells of a stage that this case has no use for."""
+        self.tell(name, 1.0, "not needed")
+
 
 def run(spec: SimulationSpec, store: Store, progress: CaseProgress = silent) -> CaseResult:
     """Simulates one case.
@@ -150,38 +156,12 @@ def run(spec: SimulationSpec, store: Store, progress: CaseProgress = silent) -> 
     case = _Run(store, progress)
     start = time.perf_counter()
 
-    grown = case.stage(
-        "phantom",
-        {"spec": spec.phantom.model_dump(), "seed": spec.seed},
-        {},
-        lambda p: phantom.generate(spec.phantom, spec.seed, p),
-        files.save_phantom,
-        files.load_phantom,
-    )
-    meshed = case.stage(
-        "mesh",
-        spec.mesh.model_dump(),
-        {"phantom": grown},
-        lambda p: mesh.build(grown.artifact, spec.mesh, p),
-        files.save_mesh,
-        files.load_mesh,
-    )
-    compressed = case.stage(
-        "fem",
-        spec.compression.model_dump(),
-        {"phantom": grown, "mesh": meshed},
-        lambda p: fem.compress(meshed.artifact, grown.artifact, spec.compression, p),
-        files.save_compression,
-        files.load_compression,
-    )
-    warped = case.stage(
-        "warp",
-        spec.warp.model_dump(),
-        {"phantom": grown, "mesh": meshed, "compression": compressed},
-        lambda p: warp.deform(grown.artifact, meshed.artifact, compressed.artifact, spec.warp, p),
-        files.save_phantom,
-        files.load_phantom,
-    )
+    grown = _phantom(case, spec)
+    if isinstance(spec.phantom, UploadedPhantom) and spec.phantom.compressed:
+        meshed, warped = None, grown
+        compressed = _uploaded_compression(case, spec.phantom, grown)
+    else:
+        meshed, compressed, warped = _compress(case, spec, grown)
     stack = case.stage(
         "projection",
         {"acquisition": spec.acquisition.model_dump(), "physics": spec.physics.model_dump()},
@@ -214,12 +194,15 @@ def run(spec: SimulationSpec, store: Store, progress: CaseProgress = silent) -> 
         {"projections": stack, "volume": volume, "phantom": warped, "compression": compressed},
         lambda folder, _, p: _export(folder, export, description, stack, volume, warped, compressed, p),
     )
-    case.file_stage(
-        "mechanics",
-        spec.compression.material.model_dump(),
-        {"phantom": grown, "mesh": meshed, "compression": compressed},
-        lambda folder, _, p: _mechanics(folder, spec.compression.material, grown, meshed, compressed),
-    )
+    if meshed is None:
+        case.leave_out("mechanics")
+    else:
+        case.file_stage(
+            "mechanics",
+            spec.compression.material.model_dump(),
+            {"phantom": grown, "mesh": meshed, "compression": compressed},
+            lambda folder, _, p: _mechanics(folder, spec.compression.material, grown, meshed, compressed),
+        )
     case.file_stage(
         "preview",
         {},
@@ -227,6 +210,75 @@ def run(spec: SimulationSpec, store: Store, progress: CaseProgress = silent) -> 
         lambda folder, key, p: _previews(folder, grown, warped, stack, volume),
     )
     return _result(spec, store, case.records, time.perf_counter() - start)
+
+
+def _phantom(case: _Run, spec: SimulationSpec) -> StageResult[Phantom]:
+    """Grown, or read from the store."""
+    asked = spec.phantom
+    if isinstance(asked, UploadedPhantom):
+        uploaded = asked
+        registry.require(case.store, uploaded)
+
+        def read(progress: Progress) -> Phantom:
+            with registry.open_file(case.store, uploaded) as file:
+                return phantom.load(uploaded, file, progress)
+
+        return case.stage("phantom", {"spec": uploaded.model_dump()}, {}, read, files.save_phantom, files.load_phantom)
+    grown = asked
+    return case.stage(
+        "phantom",
+        {"spec": grown.model_dump(), "seed": spec.seed},
+        {},
+        lambda p: phantom.generate(grown, spec.seed, p),
+        files.save_phantom,
+        files.load_phantom,
+    )
+
+
+def _compress(
+    case: _Run, spec: SimulationSpec, grown: StageResult[Phantom]
+) -> tuple[StageResult[TetMesh], StageResult[Compression], StageResult[Phantom]]:
+    """Mesh, compression and compressed phantom."""
+    meshed = case.stage(
+        "mesh",
+        spec.mesh.model_dump(),
+        {"phantom": grown},
+        lambda p: mesh.build(grown.artifact, spec.mesh, p),
+        files.save_mesh,
+        files.load_mesh,
+    )
+    compressed = case.stage(
+        "fem",
+        spec.compression.model_dump(),
+        {"phantom": grown, "mesh": meshed},
+        lambda p: fem.compress(meshed.artifact, grown.artifact, spec.compression, p),
+        files.save_compression,
+        files.load_compression,
+    )
+    warped = case.stage(
+        "warp",
+        spec.warp.model_dump(),
+        {"phantom": grown, "mesh": meshed, "compression": compressed},
+        lambda p: warp.deform(grown.artifact, meshed.artifact, compressed.artifact, spec.warp, p),
+        files.save_phantom,
+        files.load_phantom,
+    )
+    return meshed, compressed, warped
+
+
+def _uploaded_compression(case: _Run, spec: UploadedPhantom, grown: StageResult[Phantom]) -> StageResult[Compression]:
+    """The plates around a phantom that was compressed elsewhere."""
+    case.leave_out("mesh")
+    compressed = case.stage(
+        "fem",
+        {"thickness_mm": spec.thickness_mm, "force_N": spec.force_N},
+        {"phantom": grown},
+        lambda p: phantom.plates(spec, grown.artifact),
+        files.save_compression,
+        files.load_compression,
+    )
+    case.leave_out("warp")
+    return compressed
 
 
 def _named(spec: ExportSpec, phantom_key: str) -> ExportSpec:

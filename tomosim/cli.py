@@ -193,8 +193,9 @@ def _submit(args: argparse.Namespace) -> int:
 def _summary(manifest: dict[str, Any], out: Path) -> None:
     results = manifest["results"]
     computed = manifest["computed_stages"]
+    force = f"force {results['force_N']:.1f} N, " if "force_N" in results else ""
     print(
-        f"{out}: force {results['force_N']:.1f} N, thickness {results['thickness_mm']:.1f} mm, "
+        f"{out}: {force}thickness {results['thickness_mm']:.1f} mm, "
         f"volume {results['volume_ml']:.1f} ml, glandularity {100 * results['glandularity']:.1f} %; "
         f"{computed} of {len(manifest['stages'])} stages computed, {manifest['seconds']:.1f} s"
     )

@@ -80,14 +80,14 @@ class Compression:
 
     displacement: float64 (n, 3) of the mesh nodes, mm.
     plate_z:      (lower, upper) z of the plates after compression, mm, breast frame.
-    force_N:      force on a plate (mean of the two), N.
+    force_N:      force on a plate (mean of the two), N; None where it is not known (compressed elsewhere).
     outcome:      "converged" (anything else is raised as SolverError).
     report:       thickness_mm, min_det_F, volume_change, force balance, iterations, force curve, ...
     """
 
     displacement: NDArray[np.float64]
     plate_z: tuple[float, float]
-    force_N: float
+    force_N: float | None
     outcome: str
     report: Report = field(default_factory=dict)
 

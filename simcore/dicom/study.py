@@ -27,7 +27,7 @@ SERIES_NUMBERS = {MAMMOGRAPHY: 1, BREAST_PROJECTION: 2, TOMOSYNTHESIS: 3, LABELS
 class Study:
     """What every object of one export needs to know.
 
-    thickness: distance of the plates, mm; force: N.
+    thickness: distance of the plates, mm; force: N, 0 where it is not known.
     projection_window, volume_window: stored values (low, high) that show the breast.
     """
 

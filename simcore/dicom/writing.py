@@ -58,7 +58,7 @@ def write_study(
         "values": [float(volume.slope), float(volume.intercept)],
         "labels": array_digest(np.frombuffer(b"".join(encoded.frames), np.uint8)[None]),
         "truth": list(compressed.truth),
-        "compression": [float(compression.thickness), float(compression.force_N)],
+        "compression": [float(compression.thickness), float(compression.force_N or 0.0)],
     }
     study = Study(
         spec=spec,
@@ -66,7 +66,7 @@ def write_study(
         ids=Identifiers(content_root(case, facts)),
         stack=stack,
         thickness=compression.thickness,
-        force=compression.force_N,
+        force=compression.force_N or 0.0,
         projection_window=_projection_window(stack),
         volume_window=volume_window,
     )

@@ -128,8 +128,24 @@ class AnthropomorphicPhantom(Spec):
         return int(depth * 2 * half_width * (upper + lower) / self.voxel_volume_mm3)
 
     @property
+    def voxels_held(self) -> int:
+        """About how many voxels are held while it is made."""
+        return self.voxels
+
+    @property
     def voxel_volume_mm3(self) -> float:
+        """Volume of a voxel."""
         return self.voxel_mm**3
+
+    @property
+    def compressed(self) -> bool:
+        """Whether it is already compressed: never."""
+        return False
+
+    @property
+    def size_in_words(self) -> str:
+        """What makes it large, for messages."""
+        return f"phantom.voxel_mm = {self.voxel_mm:g} with a breast of {self.volume_ml:g} ml"
 
     def semi_axes(self) -> tuple[float, float, float, float]:
         """(depth a along x, half width b along y, upper c, lower c), mm."""

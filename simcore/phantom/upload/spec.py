@@ -4,19 +4,27 @@ from __future__ import annotations
 
 from typing import Annotated, Literal, Self
 
-from pydantic import Field, model_validator
+from pydantic import AfterValidator, Field, model_validator
 
 from simcore.core.spec_base import Spec
 from simcore.phantom.upload.tissue_maps import TissueMap
 
 Axis = Literal["+x", "-x", "+y", "-y", "+z", "-z"]
-Axes = tuple[Axis, Axis, Axis]
 Count = Annotated[int, Field(ge=1, le=20_000)]
 Edge = Annotated[float, Field(ge=0.01, le=10.0)]
 Extent = Annotated[float, Field(gt=0.0, le=2000.0)]
 
+
+def _every_axis_once(axes: tuple[Axis, Axis, Axis]) -> tuple[Axis, Axis, Axis]:
+    if sorted(axis[1] for axis in axes) != ["x", "y", "z"]:
+        raise ValueError(f"{list(axes)}: each of x, y and z once, such as {list(OWN_AXES)}")
+    return axes
+
+
+Axes = Annotated[tuple[Axis, Axis, Axis], AfterValidator(_every_axis_once)]
+"""Where the axes of an array lead, slowest first."""
 OWN_AXES: Axes = ("+z", "+y", "+x")
-"""The array axes of tomosim, slowest first."""
+"""Those of tomosim."""
 
 
 class UploadedPhantom(Spec):
@@ -66,9 +74,7 @@ class UploadedPhantom(Spec):
     )
 
     @model_validator(mode="after")
-    def _every_axis_once(self) -> Self:
-        if sorted(axis[1] for axis in self.axes) != ["x", "y", "z"]:
-            raise ValueError(f"axes = {list(self.axes)}: each of x, y and z once, such as {list(OWN_AXES)}")
+    def _plates_only_where_compressed(self) -> Self:
         if not self.compressed and (self.thickness_mm is not None or self.force_N is not None):
             raise ValueError("thickness_mm and force_N are those of a phantom with compressed = true")
         return self
@@ -84,9 +90,20 @@ class UploadedPhantom(Spec):
         return a * b * c
 
     @property
+    def voxels_held(self) -> int:
+        """Voxels that are held while it is read: the array, and what is cut out of it."""
+        return 2 * self.voxels
+
+    @property
     def voxel_volume_mm3(self) -> float:
+        """Volume of a voxel."""
         a, b, c = self.spacing_mm
         return a * b * c
+
+    @property
+    def size_in_words(self) -> str:
+        """What makes it large, for messages."""
+        return f"phantom.shape = {list(self.shape)}"
 
     def size_mm(self) -> tuple[float, float, float]:
         """Size of the tissue, or of the array where that is not known, along (x, y, z), mm."""

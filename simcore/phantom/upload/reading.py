@@ -1,0 +1,75 @@
+"""How a file that is added is to be read, as far as it does not say so itself."""
+
+from __future__ import annotations
+
+from typing import IO, Annotated, Literal
+
+import numpy as np
+from pydantic import Field, ValidationError
+
+from simcore.core.errors import SpecError
+from simcore.core.spec_base import Spec
+from simcore.phantom.upload.decoding import begins_with_gzip
+from simcore.phantom.upload.header import Encoding, Header
+from simcore.phantom.upload.spec import OWN_AXES, Axes, Count, Edge
+from simcore.phantom.upload.tissue_maps import TissueMap
+
+
+class RawHeader(Spec):
+    """What is not in a file of raw voxels (.raw, .raw.gz)."""
+
+    shape: tuple[Count, Count, Count] = Field(
+        strict=False, description="voxels along the axes of the array, slowest first [1]"
+    )
+    spacing_mm: tuple[Edge, Edge, Edge] = Field(
+        strict=False,
+        json_schema_extra={"unit": "mm"},
+        description="voxel edges along the axes of the array, slowest first [mm]",
+    )
+    axes: Axes = Field(OWN_AXES, strict=False, description="where each axis of the array leads, slowest first")
+    dtype: Literal["int8", "uint8", "int16", "uint16", "int32", "uint32"] = Field(
+        "uint8", description="type of a voxel"
+    )
+    byte_order: Literal["little", "big"] = Field("little", description="order of the bytes of a voxel")
+    header_bytes: Annotated[int, Field(ge=0, le=2**24)] = Field(
+        0, description="bytes before the voxels; none where they are gzip-compressed [byte]"
+    )
+
+    def header(self, voxels: IO[bytes]) -> Header:
+        """That of the voxels in a file, gzip-compressed or not."""
+        encoding: Encoding = "gzip" if begins_with_gzip(voxels) else "raw"
+        dtype = np.dtype(self.dtype).newbyteorder("<" if self.byte_order == "little" else ">")
+        skip = 0 if encoding == "gzip" else self.header_bytes
+        return Header("raw", self.shape, self.spacing_mm, self.axes, dtype, encoding, skip)
+
+
+class Reading(Spec):
+    """Everything has a default but for raw voxels, which need ``raw``."""
+
+    tissues: TissueMap = Field("victre", description="tissue of every value, as in a specification")
+    compressed: bool = Field(False, description="whether the phantom is already compressed along z")
+    axes: Axes | None = Field(
+        None,
+        strict=False,
+        description="where each axis of the array leads, slowest first; as the file says",
+    )
+    spacing_mm: tuple[Edge, Edge, Edge] | None = Field(
+        None,
+        strict=False,
+        json_schema_extra={"unit": "mm"},
+        description="voxel edges along the axes of the array, slowest first; as the file says [mm]",
+    )
+    raw: RawHeader | None = Field(None, description="header of raw voxels (.raw, .raw.gz)")
+
+    @classmethod
+    def parse(cls, text: str | bytes) -> Reading:
+        """From JSON. raises: SpecError naming every wrong field"""
+        try:
+            return cls.model_validate_json(text)
+        except ValidationError as error:
+            problems = [
+                {"field": ".".join(map(str, e["loc"])) or "(all of it)", "value": None, "message": e["msg"]}
+                for e in error.errors(include_url=False)
+            ]
+            said = "; ".join(f"{p['field']}: {p['message']}" for p in problems)
+            raise SpecError(f"how the file is to be read is not valid: {said}", problems=problems) from None
