@@ -110,7 +110,7 @@ class CompressionSpec(Spec):
     chest_wall: Literal["free_in_plane", "fixed"] = Field(
         "free_in_plane",
         description="free_in_plane: held along x, free along y and z, without drift and roll. fixed: held altogether; "
-        "the plates then do not touch the wall itself",
+        "the plates then do not touch the wall, where the breast stays thicker than they are apart",
     )
     load_steps: int = Field(
         1, ge=1, le=100, description="load steps to begin with; halved by itself where one fails [1]"

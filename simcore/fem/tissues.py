@@ -38,8 +38,11 @@ def tissue_fractions(mesh: TetMesh, phantom: Phantom) -> NDArray[np.float64]:
     """Share of every tissue in the volume of each tetrahedron, (m, MAX_TISSUES); rows sum to 1.
 
     Air counts only where a tetrahedron holds nothing else: the mesh surface cuts corners of the outline.
+    raises: ValueError where a label is no tissue
     """
     grid = phantom.grid
+    if phantom.labels.max(initial=0) >= MAX_TISSUES:
+        raise ValueError(f"label {phantom.labels.max()} is no tissue: {MAX_TISSUES - 1} is the largest")
     counts = _count_labels(
         mesh.nodes,
         mesh.tets,

@@ -148,3 +148,9 @@ def test_small_strain_does_not_mix_with_large() -> None:
         compress(mesh, phantom, CompressionSpec(material=material))
     assert error.value.code == "mixed-strains"
     assert ElementLaws.homogeneous(SOFT.law(), 3).fractions.shape == (3, 1)
+
+
+def test_labels_that_are_no_tissue_are_refused() -> None:
+    mesh = box((10.0, 10.0, 10.0), (1, 1, 1))
+    with pytest.raises(ValueError, match="label 200 is no tissue"):
+        tissue_fractions(mesh, phantom_of(np.full((2, 2, 2), 200), (5.0, 5.0, 5.0), (0.0, -5.0, -5.0)))
