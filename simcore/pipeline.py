@@ -223,7 +223,8 @@ def _phantom(case: _Run, spec: SimulationSpec) -> StageResult[Phantom]:
             with registry.open_file(case.store, uploaded) as file:
                 return phantom.load(uploaded, file, progress)
 
-        return case.stage("phantom", {"spec": uploaded.model_dump()}, {}, read, files.save_phantom, files.load_phantom)
+        labels = uploaded.model_dump(exclude={"force_N", "extent_mm"})  # what changes no voxel
+        return case.stage("phantom", {"spec": labels}, {}, read, files.save_phantom, files.load_phantom)
     grown = asked
     return case.stage(
         "phantom",
@@ -384,7 +385,12 @@ def _results(reports: dict[str, Report]) -> Report:
         "warp": ("tissue_before_ml", "tissue_after_ml"),
         "projection": ("truncated",),
     }
-    return {name: reports[stage][name] for stage, names in wanted.items() for name in names if name in reports[stage]}
+    return {
+        name: reports[stage][name]
+        for stage, names in wanted.items()
+        for name in names
+        if name in reports.get(stage, {})
+    }
 
 
 def _libraries() -> dict[str, str]:

@@ -47,7 +47,7 @@ def parse(head: bytes, whole_gzip: bool) -> Header:
     unit = _MM.get(head[123] & 7)
     if unit is None:
         raise refuse(f"NIfTI xyzt_units = {head[123]}: lengths in mm")
-    spacing = checked_spacing([unit * p for p in pixdim[1:4]])
+    spacing = checked_spacing([round(unit * p, 6) for p in pixdim[1:4]])  # float32
     directions = _directions(head, order)
     axes = OWN_AXES if directions is None else axes_of(directions, "RAS")
     dtype = np.dtype(_DTYPES[code]).newbyteorder(order)
