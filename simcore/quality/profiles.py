@@ -73,7 +73,7 @@ def artefact_spread(
     background_mm: inner and outer radius of the ring that gives the background of each slice.
     source: where the shadow in other slices is followed to, (x, y, z) mm, as a rule the focal spot of the central
         view; straight up where not given.
-    raises: ValueError where the object has no contrast in its own slice.
+    raises: ValueError where the object has no contrast in its own slice, or its shadow leaves the values.
     """
     heights = grid.centres("z") - centre[2]
     contrast = np.empty(len(heights))
@@ -82,6 +82,8 @@ def artefact_spread(
         shift_x, shift_y = (0.0, 0.0) if source is None else (source[0] - centre[0], source[1] - centre[1])
         distance = distances(grid, centre[0] + along * shift_x, centre[1] + along * shift_y)
         ring = (distance >= background_mm[0]) & (distance <= background_mm[1])
+        if not (distance.min() <= radius_mm and ring.any()):
+            raise ValueError(f"the shadow at {height:+.1f} mm lies outside the values: cut out more around the object")
         contrast[k] = values[k][distance <= radius_mm].mean() - values[k][ring].mean()
     own = contrast[int(np.argmin(np.abs(heights)))]
     if not own > 0:

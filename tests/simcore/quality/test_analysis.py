@@ -17,6 +17,7 @@ from simcore.dicom import CaseDescription, ExportSpec
 from simcore.quality import literature, values
 from simcore.quality.analysis import full_thickness, shadow
 from simcore.quality.skin import skin_line, skin_thickness
+from simcore.quality.volume_analysis import VolumeAnalysis, eroded, uniform
 from tomosim.cli import main
 
 PIXEL = 0.5
@@ -181,6 +182,50 @@ def test_full_thickness_gives_way_where_there_is_no_room():
     thickness[10:60, 10:60] = 6
     thickness[20, 20] = 10
     assert full_thickness(thickness).all()
+
+
+def test_only_voxels_well_inside_one_tissue_count():
+    grid = Grid((1, 60, 80), (PIXEL, PIXEL, 2.0), (0.0, -15.0, 0.0))
+    labels = np.full((60, 80), Tissue.ADIPOSE, np.uint8)
+    labels[20:40, 20:50] = Tissue.GLAND
+    even = uniform(labels, grid, 1.0).astype(bool)
+    assert even[22:38, 22:48].all()
+    assert not even[18:22, 20:50].any()
+    assert not even[30, 48:52].any()
+    assert even[:18].all()
+    assert not uniform(np.zeros_like(labels), grid, 1.0).any()
+
+
+def test_values_at_the_border_of_tissues_do_not_count():
+    volume = VolumeAnalysis(Grid((3, 60, 80), (PIXEL, PIXEL, 2.0), (0.0, -15.0, 0.0)), 1.0, 0.0)
+    labels = np.full((60, 80), Tissue.ADIPOSE, np.uint8)
+    labels[20:40, 20:50] = Tissue.GLAND
+    stored = np.where(labels == Tissue.GLAND, 30, 10).astype(np.uint16)
+    border = np.zeros(labels.shape, bool)
+    border[18:42, 18:52] = True
+    border[22:38, 22:48] = False
+    stored[border] = 5000
+    others = np.full((60, 80), Tissue.SKIN, np.uint8)
+    volume.run(iter([(stored, labels), (stored, labels), (stored, labels)]), lambda fraction, message: None)
+    assert volume.report()["gland_against_adipose"]["difference_per_mm"] == 20.0
+    # A slice of another tissue below: nothing is inside one tissue any more.
+    volume = VolumeAnalysis(volume.grid, 1.0, 0.0)
+    volume.run(iter([(stored, others), (stored, labels), (stored, labels)]), lambda fraction, message: None)
+    assert volume.report()["gland_against_adipose"] is None
+
+
+def test_the_chest_wall_is_no_border_of_the_texture():
+    mask = np.zeros((60, 80), bool)
+    mask[10:50, :40] = True
+    inner = eroded(mask, Grid((1, 60, 80), (PIXEL, PIXEL, 2.0), (0.0, -15.0, 0.0)), 5.0)
+    assert inner[20:40, :30].all()
+    assert inner.sum() == 20 * 30
+
+
+def test_published_ranges_are_the_middle_of_their_distributions():
+    assert (literature.RANGES["projection beta"].low, literature.RANGES["projection beta"].high) == (2.71, 3.63)
+    assert literature.RANGES["force"].check(49.0)["in_range"]
+    assert not literature.RANGES["force"].check(186.1)["in_range"]
 
 
 def test_skin_of_an_empty_slice_is_not_measured():

@@ -69,6 +69,11 @@ def test_an_object_without_contrast_is_refused():
         artefact_spread(-bead(1.0), GRID, BEAD, 0.5, (3.0, 4.5))
 
 
+def test_a_shadow_that_leaves_the_values_is_refused():
+    with pytest.raises(ValueError, match="outside the values"):
+        artefact_spread(bead(1.5), GRID, BEAD, 0.5, (3.0, 4.5), (200.0, 0.0, 60.0))
+
+
 @pytest.mark.parametrize("axis", ["x", "y"])
 def test_in_plane_profile_has_the_width_of_the_bead(axis: str):
     positions, profile = in_plane_profile(bead(1.5), GRID, BEAD, axis, 4.5, 3.0)
