@@ -152,8 +152,8 @@ def draw(generator: np.random.Generator) -> CompressionSpec:
         "load_steps": 3,
     }
     chosen = [name for name in options if generator.random() < 0.06]
-    if "spring_paddle" in chosen or "elastic_plates" in chosen:
-        chosen = [name for name in chosen if name not in ("paddle_angle_degrees", "friction")]
+    of_plates = [name for name in ("paddle_angle_degrees", "spring_paddle", "elastic_plates") if name in chosen]
+    chosen = [name for name in chosen if name not in of_plates[1:]]
     return CompressionSpec(percent=percent, material=material, **{name: options[name] for name in chosen})
 
 
