@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from typing import Any, Self, get_args
+from typing import Annotated, Any, Self, get_args, get_origin
 
 from pydantic import Field, ValidationError, model_validator
 
@@ -72,6 +72,12 @@ def _members(annotation: Any) -> dict[str, type[Spec]]:
     return {m.model_fields["kind"].default: m for m in get_args(annotation) if "kind" in getattr(m, "model_fields", {})}
 
 
+def _item(annotation: Any) -> Any:
+    """What a list holds, without what is annotated to it; None where that is not known."""
+    held = get_args(annotation)[0] if get_args(annotation) else None
+    return get_args(held)[0] if get_origin(held) is Annotated else held
+
+
 def _walk(model: type[Spec], location: tuple[int | str, ...]) -> tuple[list[str], Any]:
     """The path of a field as the client wrote it (pydantic adds the kind of a union's member), and what stands there.
 
@@ -84,6 +90,9 @@ def _walk(model: type[Spec], location: tuple[int | str, ...]) -> tuple[list[str]
             current = member
             continue
         path.append(str(step))
+        if isinstance(step, int):
+            current = _item(current)
+            continue
         field = getattr(current, "model_fields", {}).get(step)
         current = field.annotation if field is not None else None
     return path, current

@@ -87,6 +87,16 @@ def test_problems_inside_a_union_have_the_path_the_client_wrote(text: str, said:
     assert re.search(said, str(spec_error(Drawing, caught.value)))
 
 
+def test_problems_inside_a_list_have_the_path_the_client_wrote():
+    with pytest.raises(SpecError) as caught:
+        SimulationSpec.from_dict(
+            {"phantom": {"lesions": [{"kind": "mass"}, {"kind": "mass", "size_mm": [1, "2", 3], "colour": 1}]}}
+        )
+    fields = {p["field"]: p["message"] for p in caught.value.problems}
+    assert set(fields) == {"phantom.lesions.1.size_mm.1", "phantom.lesions.1.colour"}
+    assert "lobulation" in fields["phantom.lesions.1.colour"]
+
+
 def test_a_reproducible_case_has_a_reproducible_mesh():
     assert SimulationSpec.from_dict({}).mesh.kind == "tetwild"
     assert SimulationSpec.from_dict({"reproducible": True}).mesh.kind == "lattice"
