@@ -81,7 +81,13 @@ def test_a_second_run_computes_nothing_and_gives_the_same_files(first):
 def test_another_acquisition_of_the_same_breast_computes_only_what_differs(first):
     other = SPEC.with_(acquisition=SPEC.acquisition.with_(views=3))
     result = pipeline.run(other, first.store)
-    assert [s["name"] for s in result.manifest["stages"] if s["cached"]] == ["phantom", "mesh", "fem", "warp", "mechanics"]
+    assert [s["name"] for s in result.manifest["stages"] if s["cached"]] == [
+        "phantom",
+        "mesh",
+        "fem",
+        "warp",
+        "mechanics",
+    ]
 
 
 def test_another_seed_is_another_breast(first):
