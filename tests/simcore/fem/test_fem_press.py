@@ -67,7 +67,7 @@ def test_tilt_by_no_angle_is_the_level_plate(mesh: TetMesh, rigid: Compression) 
 
 
 def test_a_spring_paddle_turns_until_the_moments_balance(mesh: TetMesh, rigid: Compression) -> None:
-    stiffness, pivot = 8000.0, 180.0
+    stiffness, pivot = 2000.0, 180.0
     spec = SPEC.with_(spring_paddle=SpringPaddle(stiffness_Nmm_per_degree=stiffness, pivot_mm=pivot))
     solution, forces, points = solution_of(mesh, spec)
     plates = solution.state.plates
@@ -78,7 +78,7 @@ def test_a_spring_paddle_turns_until_the_moments_balance(mesh: TetMesh, rigid: C
     on_plate = -forces[on]
     moment = (arm_x * on_plate[:, 2] - arm_z * on_plate[:, 0]).sum()
     degrees = np.degrees(np.arctan(plates.slope))
-    assert degrees < -1
+    assert degrees < -5
     assert stiffness * degrees == pytest.approx(moment, rel=1e-3)
     assert solution.steps[-1].force < 0.9 * rigid.force_N
     stiff = spec.with_(spring_paddle=SpringPaddle(stiffness_Nmm_per_degree=1e7, pivot_mm=pivot))
