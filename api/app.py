@@ -9,7 +9,7 @@ from typing import Any
 from fastapi import FastAPI
 from fastapi.concurrency import run_in_threadpool
 
-from api import artifacts, catalog, errors, events, health, page, simulations
+from api import artifacts, catalog, errors, events, health, page, phantoms, simulations
 from api.deps import Services
 from api.guard import Guard
 from api.resources import PREFIX
@@ -58,7 +58,7 @@ def create_app(settings: Settings | None = None, messenger: Messenger | None = N
     )
     errors.install(app)
     app.add_middleware(Guard, settings=chosen)
-    for module in (simulations, events, artifacts, catalog):
+    for module in (simulations, events, artifacts, phantoms, catalog):
         app.include_router(module.router, prefix=PREFIX)
     app.include_router(health.router)
     app.include_router(page.router)

@@ -13,12 +13,13 @@ from api.errors import ApiError
 from api.resources import PREFIX
 from simcore import __version__, presets
 from simcore.core.errors import SpecError
+from simcore.phantom.upload.reading import Reading
 from simcore.spec import SimulationSpec
 from worker.contract import QUEUES, STATES
 
 router = APIRouter(tags=["catalog"])
 
-SCHEMAS = {"simulation": SimulationSpec}
+SCHEMAS: dict[str, type[BaseModel]] = {"simulation": SimulationSpec, "reading": Reading}
 
 
 class PresetResource(BaseModel):
@@ -47,6 +48,7 @@ class Limits(BaseModel):
 
     memory_bytes: int
     body_bytes: int
+    upload_bytes: int
     seconds: float
     attempts: int
 
@@ -112,12 +114,14 @@ def service_info(served: Served) -> ServiceInfo:
         limits=Limits(
             memory_bytes=settings.memory_limit,
             body_bytes=settings.body_limit_bytes,
+            upload_bytes=settings.upload_limit_bytes,
             seconds=settings.job_timeout_seconds,
             attempts=settings.max_attempts,
         ),
         threads_per_case=settings.threads,
         links={
             "simulations": f"{PREFIX}/simulations",
+            "phantoms": f"{PREFIX}/phantoms",
             "presets": f"{PREFIX}/presets",
             "schemas": f"{PREFIX}/schemas",
             "openapi": "/openapi.json",

@@ -14,6 +14,8 @@ from api.errors import ApiError
 from api.resources import SimulationPage, SimulationResource, simulation_path, simulation_resource
 from simcore import estimate
 from simcore.estimate import Estimate
+from simcore.phantom.upload import registry
+from simcore.phantom.upload.spec import UploadedPhantom
 from simcore.spec import SimulationSpec
 from worker.contract import State
 from worker.jobs import Simulation, StateError
@@ -132,6 +134,8 @@ def delete(identifier: Identifier, served: Served) -> None:
 
 
 def _check(specification: SimulationSpec, served: Services) -> Estimate:
+    if isinstance(specification.phantom, UploadedPhantom):
+        registry.require(served.store, specification.phantom)
     return estimate.check(specification, served.settings.memory_limit)
 
 

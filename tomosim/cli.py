@@ -7,6 +7,7 @@ failed (running again may help); 130 interrupted.
 from __future__ import annotations
 
 import argparse
+import json
 import os
 import sys
 from collections.abc import Sequence
@@ -15,6 +16,7 @@ from typing import Any
 
 from simcore import __version__
 from simcore.core.errors import ExportError, SimulationError, SpecError
+from simcore.phantom.upload.tissue_maps import BUILT_IN
 from simcore.spec import SimulationSpec
 
 EXIT_CODES = {"user": 2, "simulation": 3, "system": 4}
@@ -79,9 +81,36 @@ def _parser() -> argparse.ArgumentParser:
     p.add_argument("case", type=Path, metavar="DIR", help="a folder that 'tomosim simulate --out' wrote")
     p.set_defaults(run=_analyse)
 
+    _phantom_parser(commands)
+
     p = commands.add_parser("warm-up", help="compile all kernels once, so that the first case is as fast as the next")
     p.set_defaults(run=_warm_up)
     return parser
+
+
+def _phantom_parser(commands: Any) -> None:
+    of_phantom = commands.add_parser("phantom", help="label volumes of your own").add_subparsers(
+        title="commands", required=True, metavar="COMMAND"
+    )
+    p = of_phantom.add_parser(
+        "add",
+        help="copy a label volume into the store and print the specification that uses it",
+        description="Reads NRRD, MetaImage (.mha, .mhd), NIfTI, and with --header raw voxels (.raw, .raw.gz). VICTRE's "
+        "labels are known.",
+    )
+    p.add_argument("file", type=Path, metavar="FILE", help="the label volume")
+    p.add_argument(
+        "--tissue-map", metavar="NAME|JSON", help="victre (default), tomosim, or a JSON file {value: tissue}"
+    )
+    p.add_argument("--header", type=Path, metavar="JSON", help="header of raw voxels: shape, spacing_mm, dtype, axes")
+    p.add_argument("--axes", type=_axes, metavar="A,B,C", help="where the array axes lead, slowest first: +z,+y,+x")
+    p.add_argument("--spacing-mm", type=_edges, metavar="A,B,C", help="voxel edges along the array axes, slowest first")
+    p.add_argument("--compressed", action="store_true", help="it is already compressed along z")
+    _data_argument(p)
+    p.set_defaults(run=_add_phantom)
+    p = of_phantom.add_parser("list", help="list the label volumes in the store")
+    _data_argument(p)
+    p.set_defaults(run=_list_phantoms)
 
 
 def _spec_argument(parser: argparse.ArgumentParser) -> None:
@@ -113,6 +142,17 @@ def _port(text: str) -> int:
     if number > 65535:
         raise argparse.ArgumentTypeError(f"{text!r} is not a port: 1 to 65535")
     return number
+
+
+def _axes(text: str) -> list[str]:
+    return text.split(",")
+
+
+def _edges(text: str) -> list[float]:
+    try:
+        return [float(edge) for edge in text.split(",")]
+    except ValueError:
+        raise argparse.ArgumentTypeError(f"{text!r} is not three numbers such as 0.2,0.2,0.2") from None
 
 
 def _read_spec(name: str) -> SimulationSpec:
@@ -233,6 +273,41 @@ def _analyse(args: argparse.Namespace) -> None:
     except OSError as error:
         raise ExportError(f"{target} cannot be written: {error.strerror}") from error
     print(quality.table(analysis))
+
+
+def _add_phantom(args: argparse.Namespace) -> None:
+    from simcore.core.store import Store
+    from simcore.phantom.upload import registry
+    from simcore.phantom.upload.reading import Reading
+
+    asked: dict[str, Any] = {"compressed": args.compressed}
+    if args.tissue_map is not None:
+        named = args.tissue_map in BUILT_IN
+        asked["tissues"] = args.tissue_map if named else _read_json(Path(args.tissue_map), "tissue map")
+    if args.header is not None:
+        asked["raw"] = _read_json(args.header, "header")
+    asked |= {name: value for name in ("axes", "spacing_mm") if (value := getattr(args, name)) is not None}
+    upload = registry.add_file(Store(args.data / "store"), args.file, Reading.parse(json.dumps(asked)))
+    print(f"tomosim: {upload.sha256}, {upload.size} bytes in the store", file=sys.stderr)
+    print(json.dumps({"phantom": upload.phantom}, indent=2))
+
+
+def _list_phantoms(args: argparse.Namespace) -> None:
+    from simcore.core.store import Store
+    from simcore.phantom.upload import registry
+
+    for upload in registry.uploads(Store(args.data / "store")):
+        shape = " x ".join(map(str, upload.phantom["shape"]))
+        print(f"{upload.sha256}  {upload.format:<9}  {shape}  {upload.name}")
+
+
+def _read_json(path: Path, what: str) -> Any:
+    try:
+        return json.loads(path.read_bytes())
+    except OSError as error:
+        raise SpecError(f"the {what} {path} cannot be read: {error.strerror}", code="file-not-readable") from error
+    except ValueError as error:
+        raise SpecError(f"the {what} {path} is not JSON: {error}", code="file-not-readable") from error
 
 
 def _warm_up(args: argparse.Namespace) -> None:

@@ -56,6 +56,7 @@ class Settings(BaseSettings):
     resend_seconds: float = Field(30.0, gt=0, description="a queued case without a message is sent again after [s]")
     sweep_seconds: float = Field(2.0, gt=0, description="interval of the sweep for lost cases [s]")
     body_limit_bytes: int = Field(1_000_000, gt=0, description="largest body of a request [byte]")
+    upload_limit_bytes: int = Field(4_000_000_000, gt=0, description="largest label volume that is uploaded [byte]")
     log_level: Literal["DEBUG", "INFO", "WARNING", "ERROR"] = "INFO"
     pipeline: str = Field(
         "simcore.pipeline:run", description="module:function that runs a case; another one for tests only"

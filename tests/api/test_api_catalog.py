@@ -26,7 +26,9 @@ def test_a_preset_can_be_posted(client):
 
 
 def test_schemas(client, is_problem):
-    assert client.get("/v1/schemas").json()["items"] == [{"name": "simulation", "href": "/v1/schemas/simulation"}]
+    assert client.get("/v1/schemas").json()["items"] == [
+        {"name": name, "href": f"/v1/schemas/{name}"} for name in ("simulation", "reading")
+    ]
     response = client.get("/v1/schemas/simulation")
     assert response.headers["content-type"] == "application/schema+json"
     schema = response.json()

@@ -5,6 +5,7 @@ import subprocess
 import sys
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from simcore import presets
@@ -81,3 +82,35 @@ def test_submit_without_a_service_says_so(tmp_path: Path):
 @pytest.mark.parametrize("arguments", [["simulate"], ["nonsense"], ["simulate", "s", "--out", "o", "--threads", "0"]])
 def test_wrong_usage_exits_with_2(arguments: list[str]):
     assert tomosim(*arguments).returncode == 2
+
+
+def test_a_phantom_of_ones_own_is_added_and_used(tmp_path: Path):
+    z, y, x = np.meshgrid(np.arange(-10, 11), np.arange(-12, 13), np.arange(20), indexing="ij")
+    labels = np.where((x / 18) ** 2 + (y / 11) ** 2 + (z / 9) ** 2 <= 1, 5, 0).astype("u1")
+    (tmp_path / "p.raw").write_bytes(labels.tobytes())
+    (tmp_path / "p.json").write_text(json.dumps({"shape": labels.shape, "spacing_mm": [2.0, 2.0, 2.0]}))
+    (tmp_path / "map.json").write_text('{"0": "air", "5": "adipose"}')
+    add = ["phantom", "add", "p.raw", "--header", "p.json", "--data", "here"]
+    refused = tomosim(*add, cwd=tmp_path)
+    assert refused.returncode == 2
+    assert "no tissue for 5" in refused.stderr
+    done = tomosim(*add, "--tissue-map", "map.json", "--axes", "+z,-y,+x", cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    part = SimulationSpec.parse(done.stdout).phantom
+    assert (part.kind, part.shape, part.axes) == ("uploaded", labels.shape, ("+z", "-y", "+x"))
+    listed = tomosim("phantom", "list", "--data", "here", cwd=tmp_path)
+    assert listed.stdout.split() == [part.sha256, "nrrd", *["21", "x", "25", "x", "20"], "p.raw"]
+    case = presets.get("tiny").with_(phantom=part).model_dump_json()
+    (tmp_path / "case.json").write_text(case)
+    missing = tomosim("simulate", "case.json", "--out", "out", "--data", "elsewhere", cwd=tmp_path)
+    assert missing.returncode == 2
+    assert "tomosim phantom add" in missing.stderr
+
+
+@pytest.mark.parametrize("wrong", [["--axes", "+x,+x,+z"], ["--header", "gone.json"], ["--tissue-map", "a.nrrd"]])
+def test_a_wrong_option_of_phantom_add_is_named(wrong: list[str], tmp_path: Path):
+    (tmp_path / "a.nrrd").write_bytes(b"NRRD")
+    done = tomosim("phantom", "add", "a.nrrd", *wrong, cwd=tmp_path)
+    assert done.returncode == 2
+    assert "Traceback" not in done.stderr
+    assert wrong[0].strip("-") in done.stderr or wrong[1] in done.stderr

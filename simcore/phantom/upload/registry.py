@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import shutil
 import tempfile
 from dataclasses import asdict, dataclass, field
@@ -84,6 +85,11 @@ def add_received(store: Store, received: Path, name: str, reading: Reading) -> U
         header = reading.raw.header(source)
         join(header, source, target)
     return _add(store, joined, name, reading, header.axes)
+
+
+def is_digest(text: str) -> bool:
+    """Whether a text can be a digest; nothing else is made a part of a path."""
+    return re.fullmatch("[0-9a-f]{64}", text) is not None
 
 
 def get(store: Store, sha256: str) -> Upload | None:
