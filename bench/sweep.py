@@ -74,6 +74,7 @@ def main() -> int:
     subjects = [subject(kind, generator) for kind in MESHERS for _ in range(MESHES_EACH)]
     named: list[dict[str, str]] = []
     silent: list[str] = []
+    crashes = 0
     materials: Counter[str] = Counter()
     for run in range(args.runs):
         chosen, spec = subjects[run % len(subjects)], draw(generator)
@@ -88,6 +89,11 @@ def main() -> int:
             named.append({"code": failure.code, "run": what})
             print(f"{run}: {failure.code}: {what}: {failure}", file=sys.stderr, flush=True)
             continue
+        except Exception as crash:
+            crashes += 1
+            silent.append(f"{type(crash).__name__} without a name of ours, {crash}: {what}")
+            print(f"{run}: {silent[-1]}", file=sys.stderr, flush=True)
+            continue
         silent += [f"{problem}: {what}" for problem in problems]
         print(f"{run}: {result.force_N:.1f} N {problems or ''}", file=sys.stderr, flush=True)
     for problem in silent:
@@ -96,7 +102,7 @@ def main() -> int:
         json.dumps(
             {
                 "runs": args.runs,
-                "converged": args.runs - len(named),
+                "converged": args.runs - len(named) - crashes,
                 "named_failures": len(named),
                 "silent": len(silent),
                 "seconds": round(time.perf_counter() - start, 1),

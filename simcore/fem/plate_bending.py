@@ -66,7 +66,7 @@ class BendingPlate:
     def _shapes(self, points: Floats) -> Floats:
         x = _polynomials(np.clip(points[:, 0] / self.depth, 0, 1), self.depth)[0]
         y = _sines(np.clip(points[:, 1] / self.width, -0.5, 0.5), self.width)[0]
-        shapes: Floats = np.einsum("pi,pj->pij", x, y).reshape(len(points), -1)
+        shapes: Floats = np.einsum("pi,pj->pij", x, y).reshape(len(points), x.shape[1] * y.shape[1])
         return shapes
 
 

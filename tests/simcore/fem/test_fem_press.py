@@ -172,3 +172,10 @@ def test_a_force_is_met_by_any_press(mesh: TetMesh) -> None:
 def test_presses_exclude_one_another() -> None:
     with pytest.raises(ValidationError, match="give one of"):
         CompressionSpec(paddle_angle_degrees=3.0, elastic_plates=ElasticPlates(thickness_mm=10.0))
+
+
+def test_a_plate_that_nothing_touches_stays_flat() -> None:
+    plate = BendingPlate.of(240.0, 300.0, 10.0, 3000.0, 0.37)
+    nothing = np.empty((0, 2))
+    assert (plate.deflection(np.array([[10.0, 0.0]]), nothing, np.empty(0)) == 0).all()
+    assert plate.deflection(nothing, np.array([[10.0, 0.0]]), np.array([5.0])).shape == (0,)
