@@ -133,7 +133,8 @@ def _painted(breast: Phantom, labels: NDArray[np.uint8], objects: list[Inserted]
 
 
 def slab(stack: ProjectionStack, spec: FilteredBackprojection, low: float, high: float) -> Volume:
-    """Slices between two heights, mm, of the volume that ``reconstruct`` would give."""
+    """Slices between two heights, mm: as ``reconstruct`` gives them, but starting at ``low``, so that one is centred
+    where it is wanted."""
     lifted = replace(stack, geometry=replace(stack.geometry, support_height=low))
     return reconstruction.reconstruct(lifted, spec, high - low)
 
