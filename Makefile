@@ -14,7 +14,7 @@ help:
 	@echo "make serve     install, start the service on http://127.0.0.1:$(PORT)/"
 	@echo "make test      install what tests need, lint, type-check, run all tests"
 	@echo "make bench     compare with named peers (minutes)"
-	@echo "make validate  the paper's cups at 20 and 50 %, long proofs (minutes)"
+	@echo "make validate  verification of the compression, robustness, the paper's cups and figures (an hour)"
 
 install: $(VENV)/.installed
 install-dev: $(VENV)/.installed-dev
@@ -59,7 +59,11 @@ bench: $(VENV)/.installed-bench
 	for name in $(BENCHES); do $(BIN)/python -m bench.$$name || exit 1; done
 
 validate: install-dev
+	$(BIN)/python -m bench.verification
+	$(BIN)/python -m bench.figure4
+	$(BIN)/python -m bench.sweep --runs 200
 	$(BIN)/python -m bench.paper_cups --data $(DATA)
+	$(BIN)/python -m bench.figures --data $(DATA)
 
 # Needs uv. Versions and hashes for every platform; no address of any registry.
 UV ?= uv
