@@ -13,7 +13,7 @@ from scipy.optimize import brentq
 from simcore.core.artifacts import Phantom, TetMesh
 from simcore.core.errors import SolverError
 from simcore.core.grid import Grid
-from simcore.fem import CompressionSpec, compress
+from simcore.fem import CompressionSpec, compress, path
 from simcore.fem.energy import COEFFICIENTS, add_energy_derivatives
 from simcore.fem.laws import ElementLaws
 from simcore.fem.materials.law import Law, LawKind
@@ -269,6 +269,15 @@ def test_st_venant_kirchhoff_follows_its_curve_up_to_its_limit_and_no_further() 
     assert result.force_N == pytest.approx(48.6e-3 * 1200 * 0.7 * (1 - 0.49) / 2, rel=1e-6)
     with pytest.raises(SolverError, match=r"0\.577") as error:
         compress(jittered_box(), ANY_PHANTOM, spec.with_(percent=46.0))
+    assert error.value.code == "unstable-material"
+
+
+def test_st_venant_kirchhoff_is_refused_by_its_stretch(monkeypatch: pytest.MonkeyPatch) -> None:
+    """An equilibrium beyond the limit is refused even where the solver finds one."""
+    monkeypatch.setattr(path, "ST_VENANT_KIRCHHOFF_STRETCH", 0.8)
+    spec = CompressionSpec(percent=30.0, material=LinearElastic(strain="green_lagrange", poissons_ratio=0.3))
+    with pytest.raises(SolverError, match=r"the least is 0\.700") as error:
+        compress(jittered_box(), ANY_PHANTOM, spec)
     assert error.value.code == "unstable-material"
 
 
