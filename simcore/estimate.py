@@ -40,7 +40,7 @@ MESH_SECONDS_PER_TETRAHEDRON = {"tetwild": 5e-4, "lattice": 2e-5}
 def compressed_extent(spec: SimulationSpec) -> tuple[float, float, float]:
     """Predicted extent of the compressed breast: (depth along x, width along y, thickness along z), mm.
 
-    Where the compression goes to a force, whose place on the way is not known before: the largest of each.
+    Where the plates stop, turn or bend as the forces tell, which is not known before: the largest of each.
     """
     depth, half_width, upper, lower = spec.phantom.semi_axes()
     if spec.phantom.compressed:
@@ -49,13 +49,13 @@ def compressed_extent(spec: SimulationSpec) -> tuple[float, float, float]:
     most = least = c.percent / 100
     if c.thickness_mm is not None:
         most = least = min(max(1 - c.thickness_mm / (upper + lower), 0.0), most)
-    elif c.force_N is not None:
+    elif c.force_N is not None or c.spring_paddle is not None or c.elastic_plates is not None:
         least = 0.0
-    return (
-        depth * _interpolate(most, GROWTH_X),
-        2 * half_width * _interpolate(most, GROWTH_Y),
-        (upper + lower) * (1 - least),
-    )
+    grown = depth * _interpolate(most, GROWTH_X)
+    # A paddle that opens towards the nipple leaves the breast its thickness there, but no more than it had.
+    opening = grown * math.tan(math.radians(max(c.paddle_angle_degrees, 0.0)))
+    thickness = min((upper + lower) * (1 - least) + opening, upper + lower)
+    return grown, 2 * half_width * _interpolate(most, GROWTH_Y), thickness
 
 
 def _interpolate(fraction: float, growth: tuple[float, ...]) -> float:

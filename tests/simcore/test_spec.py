@@ -1,6 +1,7 @@
 """Specifications: strict, frozen, every number with a unit; bad ones are refused with what is allowed."""
 
 import json
+import math
 import re
 from typing import Annotated, Literal, get_args
 
@@ -211,6 +212,10 @@ def test_the_predicted_extent_follows_the_target_of_the_compression():
     assert to_thickness == pytest.approx(by_percent)
     to_force = estimate.compressed_extent(spec.with_(compression=spec.compression.with_(percent=40.0, force_N=80.0)))
     assert to_force == pytest.approx((*by_percent[:2], upper + lower))
+    tilted = spec.compression.with_(percent=40.0, paddle_angle_degrees=10.0)
+    opening = by_percent[0] * math.tan(math.radians(10))
+    extent = estimate.compressed_extent(spec.with_(compression=tilted))
+    assert extent == pytest.approx((*by_percent[:2], by_percent[2] + opening))
 
 
 def test_truncation_can_be_allowed():
