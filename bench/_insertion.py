@@ -94,10 +94,10 @@ def choose(breast: Phantom) -> list[Inserted]:
     middle = (np.flatnonzero(breast.labels.any(axis=(1, 2)))[[0, -1]].mean() + 0.5) * grid.spacing[2] + grid.corner[2]
     planes = np.flatnonzero(np.abs(grid.centres("z") - middle) <= DISK_HEIGHT / 2)
     layer = breast.labels[planes[0] : planes[-1] + 1]
-    room = distance_transform_edt((layer == Tissue.ADIPOSE).all(axis=0)) * grid.spacing[0]
-    skin_or_air = np.isin(layer, (Tissue.AIR, Tissue.SKIN)).any(axis=0)
+    room = distance_transform_edt(np.all(layer == Tissue.ADIPOSE, axis=0).astype(np.uint8)) * grid.spacing[0]
+    no_skin = np.asarray(~np.isin(layer, (Tissue.AIR, Tissue.SKIN)).any(axis=0), np.uint8)
     x, y = grid.centres("x"), grid.centres("y")
-    room[distance_transform_edt(~skin_or_air) * grid.spacing[0] < FROM_SKIN] = 0.0
+    room[distance_transform_edt(no_skin) * grid.spacing[0] < FROM_SKIN] = 0.0
     room[:, x < FROM_WALL] = 0.0
     found: list[Inserted] = []
     while len(found) < DISKS + BEADS:
@@ -134,7 +134,7 @@ def _painted(breast: Phantom, labels: NDArray[np.uint8], objects: list[Inserted]
 
 def slab(stack: ProjectionStack, spec: FilteredBackprojection, low: float, high: float) -> Volume:
     """Slices between two heights, mm: as ``reconstruct`` gives them, but starting at ``low``, so that one is centred
-    where it is wanted."""
+    where it is wanted. For filters with a ramp, whose values do not depend on the thickness."""
     lifted = replace(stack, geometry=replace(stack.geometry, support_height=low))
     return reconstruction.reconstruct(lifted, spec, high - low)
 

@@ -59,7 +59,7 @@ def slice_beads(acquisition: AcquisitionSpec) -> dict[str, float | None]:
     across = np.arange(6.0, 60.0, 7.3)
     grid = Grid((4, 100, 700), (VOXEL, VOXEL, VOXEL), (0.0, -5.0, HEIGHT))
     labels = np.zeros(grid.shape, np.uint8)
-    centres = []
+    centres: list[tuple[float, float]] = []
     for x in across:
         i, j = round(x / VOXEL), 40 + len(centres)
         labels[1, j, i] = Tissue.CALCIFICATION

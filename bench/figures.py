@@ -66,7 +66,7 @@ class Breast:
         stack = projection.project(self.labels, acquisition, PhysicsSpec())
         z = acquisition.air_gap_mm + self.thickness / 2
         volume = _insertion.slab(stack, FilteredBackprojection(), z - 0.5, z + 0.5)
-        return _insertion.attenuation(volume)[0]
+        return np.asarray(_insertion.attenuation(volume)[0])
 
 
 def tell(*words: object) -> None:
@@ -115,7 +115,7 @@ def figure_5(breast: Breast) -> None:
     save_panels([panels], IMAGES / "figure5.png")
 
 
-def figure_6(slices: dict[tuple[float, int], Image], hard: Image) -> None:
+def figure_6(slices: dict[tuple[int, int], Image], hard: Image) -> None:
     """Slices of more and more views, then 50 %; a detail by number of views, and one by angular range."""
     pixel = acquisition(40, 15).detector.pixel_mm
     best = slices[40, 30]
