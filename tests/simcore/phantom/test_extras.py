@@ -111,6 +111,12 @@ def test_ducts_are_trees_from_the_nipple_to_the_gland(full: Phantom) -> None:
     assert ml(full, Tissue.DUCT) > 0.05
 
 
+def carve_ball() -> np.ndarray:
+    labels = np.full((100, 100, 100), Tissue.GLAND, dtype=np.uint8)
+    carve(np.array([[3.0, -1.0, 0.0, 2.0, 3.0, -1.0, 0.0, 2.0]], np.float32), 0.1, -5.0, -5.0, 0, labels)
+    return labels == Tissue.DUCT
+
+
 def test_a_carved_piece_is_a_capsule() -> None:
     labels = np.full((100, 100, 200), Tissue.GLAND, dtype=np.uint8)
     labels[:, :, 150:] = Tissue.SKIN
@@ -121,6 +127,8 @@ def test_a_carved_piece_is_a_capsule() -> None:
     volume = frustum + 2 / 3 * math.pi * (big**3 + small**3)
     assert np.count_nonzero(labels == Tissue.DUCT) * 1e-3 == pytest.approx(volume, rel=0.02)
     assert replaced[Tissue.GLAND] == np.count_nonzero(labels == Tissue.DUCT) == replaced.sum()
+    middle = [axis.mean() for axis in np.nonzero(carve_ball())]
+    np.testing.assert_allclose(middle, [49.5, 39.5, 29.5], atol=0.05)  # at z, y, x of 0, -1 and 3 mm
     skinned = carve(np.array([[14, 0, 0, 2, 16, 0, 0, 2]], np.float32), 0.1, -5.0, -5.0, 0, labels)
     assert skinned[Tissue.SKIN] == 0
     assert np.all(labels[:, :, 150:] == Tissue.SKIN)

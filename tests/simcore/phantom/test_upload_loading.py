@@ -109,8 +109,9 @@ def test_any_order_and_direction_of_the_axes_gives_the_same_phantom(order: tuple
 
 
 def test_a_breast_the_wrong_way_round_is_refused_with_advice() -> None:
-    with pytest.raises(SpecError, match=r"phantom\.axes = .*first must be a flat chest wall.*\+x or -x"):
-        load(axes=("+z", "+y", "-x"))
+    for axes in (("+z", "+y", "-x"), ("+x", "+y", "+z")):  # the nipple first; or the thin lower side
+        with pytest.raises(SpecError, match=r"phantom\.axes = .*first must be a flat chest wall.*\+x or -x"):
+            load(axes=axes)
 
 
 def test_a_tissue_map_of_ones_own_and_unknown_values_by_name() -> None:
