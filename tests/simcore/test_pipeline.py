@@ -15,6 +15,7 @@ import pytest
 from simcore import pipeline, presets
 from simcore.core.errors import SimulationError
 from simcore.core.store import Store
+from simcore.dicom import check
 
 SPEC = presets.get("tiny")
 
@@ -66,6 +67,12 @@ def test_all_files_are_written(first, tmp_path):
     assert any(n.startswith("preview/") and n.endswith(".png") for n in names)
     listed = {n: ref["sha256"] for n, ref in first.manifest["files"].items()}
     assert listed == {n: d for n, d in digests(tmp_path).items() if n != "manifest.json"}
+
+
+def test_the_dicom_files_conform(first, tmp_path):
+    first.write(tmp_path)
+    wrong = [str(v) for v in check.verdicts(sorted(tmp_path.rglob("*.dcm"))) if not v.ok]
+    assert wrong == []
 
 
 def test_a_second_run_computes_nothing_and_gives_the_same_files(first):
