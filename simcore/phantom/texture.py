@@ -84,13 +84,27 @@ def _interpolated(values: NDArray[np.float64], axis: int, place: NDArray[np.floa
     """Cubic B-spline with coefficients ``values`` along one axis at ``place`` (in cells, at least 1)."""
     cell = np.floor(place).astype(np.int64)
     t = place - cell
-    weights = ((1 - t) ** 3 / 6, (3 * t**3 - 6 * t**2 + 4) / 6, (-3 * t**3 + 3 * t**2 + 3 * t + 1) / 6, t**3 / 6)
-    shape = [1] * values.ndim
-    shape[axis] = len(place)
-    result = np.zeros((*values.shape[:axis], len(place), *values.shape[axis + 1 :]))
-    for tap, weight in enumerate(weights):
-        result += weight.reshape(shape) * np.take(values, cell + tap - 1, axis=axis)
-    return result
+    weights = np.stack(
+        [(1 - t) ** 3 / 6, (3 * t**3 - 6 * t**2 + 4) / 6, (-3 * t**3 + 3 * t**2 + 3 * t + 1) / 6, t**3 / 6]
+    )
+    before, after = values.shape[:axis], values.shape[axis + 1 :]
+    result = np.empty((math.prod(before), len(place), math.prod(after)))
+    _spline(values.reshape(len(result), -1, result.shape[2]), cell - 1, weights, result)
+    return result.reshape(*before, len(place), *after)
+
+
+@njit(cache=True)
+def _spline(
+    values: NDArray[np.float64], first: NDArray[np.int64], weights: NDArray[np.float64], result: NDArray[np.float64]
+) -> None:
+    """result[a, m, b] = sum over n of weights[n, m] values[a, first[m] + n, b]."""
+    for a in range(result.shape[0]):
+        for m in range(result.shape[1]):
+            f = first[m]
+            w0, w1, w2, w3 = weights[0, m], weights[1, m], weights[2, m], weights[3, m]
+            for b in range(result.shape[2]):
+                low = w0 * values[a, f, b] + w1 * values[a, f + 1, b]
+                result[a, m, b] = low + w2 * values[a, f + 2, b] + w3 * values[a, f + 3, b]
 
 
 @njit(cache=True, error_model="numpy", inline="always")

@@ -44,7 +44,7 @@ class Survey:
         """Size of what is not air along (x, y, z), mm; None where there is nothing."""
         if not all(self.extent):
             return None
-        along = {axis[1]: n * edge for axis, n, edge in zip(axes, self.extent, spacing_mm, strict=True)}
+        along = {axis[1]: round(n * edge, 6) for axis, n, edge in zip(axes, self.extent, spacing_mm, strict=True)}
         return along["x"], along["y"], along["z"]
 
 

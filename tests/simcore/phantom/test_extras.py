@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 
+import numba
 import numpy as np
 import pytest
 from pydantic import ValidationError
@@ -59,6 +60,18 @@ def test_slabs_are_the_phantom_byte_for_byte(full: Phantom) -> None:
     assert parts[1][0].corner[2] == pytest.approx(full.grid.corner[2] + 32 * 0.8)
     with pytest.raises(ValueError, match="multiple of 16"):
         next(slabs(FULL, 2, slices=20))
+
+
+def test_same_bytes_for_any_number_of_threads(full: Phantom) -> None:
+    before = numba.get_num_threads()
+    numba.set_num_threads(1)
+    try:
+        alone = generate(FULL, 2)
+    finally:
+        numba.set_num_threads(before)
+    assert alone.labels.tobytes() == full.labels.tobytes()
+    assert alone.truth == full.truth
+    assert alone.report == full.report
 
 
 def test_additions_leave_the_rest_of_the_breast_as_it_was(plain: Phantom) -> None:
