@@ -1,0 +1,103 @@
+"""The Reconstruction Toolkit (RTK, on ITK) on scenes of this project.
+
+RTK's fixed frame is ours (x, y, z) in another order: RTK turns about its Y, the tube about our x. So
+
+    X = -y,  Y = x,  Z = z,   detector u = X, v = Y,
+
+and volumes are handed over as arrays (z, x, -y). Every view is given by its source and detector, which RTK turns into
+its own nine parameters; that they were understood is checked by values in the benches.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import itk
+import numpy as np
+from itk import RTK as rtk
+from numpy.typing import NDArray
+
+from simcore.core.geometry import AcquisitionGeometry
+from simcore.core.grid import Grid
+
+FloatArray = NDArray[np.float32]
+IMAGE = itk.Image[itk.F, 3]
+
+
+def set_threads(count: int) -> None:
+    """For every filter made from now on."""
+    itk.MultiThreaderBase.SetGlobalMaximumNumberOfThreads(count)
+    itk.MultiThreaderBase.SetGlobalDefaultNumberOfThreads(count)
+
+
+def geometry_of(geometry: AcquisitionGeometry) -> Any:
+    """ThreeDCircularProjectionGeometry of a detector at rest in z = 0."""
+    if not geometry.stationary:
+        raise ValueError("the detector turns")
+    made = rtk.ThreeDCircularProjectionGeometry.New()
+    for x, y, z in geometry.sources:
+        understood = made.AddProjection(_point(-y, x, z), _point(0, 0, 0), _vector(1, 0, 0), _vector(0, 1, 0))
+        if not understood:
+            raise ValueError(f"RTK refuses the source at {(x, y, z)}")
+    return made
+
+
+def volume_of(data: FloatArray, grid: Grid) -> Any:
+    """An image of float32 (nz, ny, nx)."""
+    image = itk.image_from_array(np.ascontiguousarray(data[:, ::-1].transpose(0, 2, 1), np.float32))
+    sx, sy, sz = grid.spacing
+    image.SetSpacing([sy, sx, sz])
+    image.SetOrigin([-float(grid.centres("y")[-1]), float(grid.centres("x")[0]), float(grid.centres("z")[0])])
+    return image
+
+
+def array_of_volume(image: Any) -> FloatArray:
+    """float32 (nz, ny, nx) of an image in RTK's frame."""
+    return np.ascontiguousarray(itk.array_from_image(image).transpose(0, 2, 1)[:, ::-1])
+
+
+def projections_of(data: FloatArray, geometry: AcquisitionGeometry) -> Any:
+    """An image of float32 (views, ny, nx)."""
+    image = itk.image_from_array(np.ascontiguousarray(data[:, ::-1].transpose(0, 2, 1), np.float32))
+    detector = geometry.detector
+    image.SetSpacing([detector.pixel, detector.pixel, 1.0])
+    image.SetOrigin([-float(detector.y_centres()[-1]), float(detector.x_centres()[0]), 0.0])
+    return image
+
+
+array_of_projections = array_of_volume
+
+
+def joseph(projections: Any, volume: Any, geometry: Any) -> Any:
+    """The filter of Joseph's forward projection, not yet run; ``projections`` are what it adds to."""
+    made = rtk.JosephForwardProjectionImageFilter[IMAGE, IMAGE].New()
+    made.SetInput(0, projections)
+    made.SetInput(1, volume)
+    made.SetGeometry(geometry)
+    return made
+
+
+def backprojection(kind: str, volume: Any, projections: Any, geometry: Any) -> Any:
+    """A filter that adds a back-projection to ``volume``: "voxel" (bilinear on the detector), "fdk" (the same with
+    FDK's weight), "joseph" (the transpose of Joseph's projection)."""
+    names = {
+        "voxel": rtk.BackProjectionImageFilter,
+        "fdk": rtk.FDKBackProjectionImageFilter,
+        "joseph": rtk.JosephBackProjectionImageFilter,
+    }
+    made = names[kind][IMAGE, IMAGE].New()
+    made.SetInput(0, volume)
+    made.SetInput(1, projections)
+    made.SetGeometry(geometry)
+    return made
+
+
+def _point(*values: float) -> Any:
+    return itk.Point[itk.D, 3]([float(v) for v in values])
+
+
+def _vector(*values: float) -> Any:
+    vector = itk.Vector[itk.D, 3]()
+    for i, value in enumerate(values):
+        vector[i] = float(value)
+    return vector
