@@ -2,7 +2,7 @@
 PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
-BENCHES ?= case meshers compression
+BENCHES ?= case phantom meshers compression
 PORT ?= 8080
 OUT ?= out
 DATA ?= data
