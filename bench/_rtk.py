@@ -101,3 +101,29 @@ def _vector(*values: float) -> Any:
     for i, value in enumerate(values):
         vector[i] = float(value)
     return vector
+
+
+def fdk(volume: Any, projections: Any, geometry: Any) -> Any:
+    """The filter of Feldkamp's reconstruction (weights, ramp, back-projection), which adds to ``volume``."""
+    made = rtk.FDKConeBeamReconstructionFilter[IMAGE].New()
+    made.SetInput(0, volume)
+    made.SetInput(1, projections)
+    made.SetGeometry(geometry)
+    return made
+
+
+def sart(volume: Any, projections: Any, geometry: Any, relaxation: float) -> Any:
+    """The filter of one iteration of SART from ``volume``: Joseph's projection, voxel back-projection, every view by
+    itself, no negative values."""
+    made = rtk.SARTConeBeamReconstructionFilter[IMAGE, IMAGE].New()
+    made.SetInput(0, volume)
+    made.SetInput(1, projections)
+    made.SetGeometry(geometry)
+    made.SetForwardProjectionFilter(made.ForwardProjectionType_FP_JOSEPH)
+    made.SetBackProjectionFilter(made.BackProjectionType_BP_VOXELBASED)
+    made.SetNumberOfIterations(1)
+    made.SetNumberOfProjectionsPerSubset(1)
+    made.SetLambda(relaxation)
+    made.SetEnforcePositivity(True)
+    made.SetDisableDisplacedDetectorFilter(True)
+    return made
