@@ -14,13 +14,13 @@ from simcore.reconstruction.lanes import ROWS
 from simcore.reconstruction.slice_kernels import Gathering, gather_rows
 
 FloatArray = NDArray[np.float32]
-Coordinates = NDArray[np.float64]
 
 LEAST_SUM = np.float32(1e-3)
 """Rays and voxels that are barely met say nothing."""
 
-Lengths = tuple[Coordinates, Coordinates, float, float]
-"""What lengths of rays in a slice follow from: x and y of pixels from the source's foot, its height, the slice, mm."""
+Lengths = tuple[FloatArray, FloatArray, float]
+"""What lengths of rays in a slice follow from: (y / height)^2 and (x / height)^2 of pixels from the source's foot, its
+height above the detector; distance of slices, mm."""
 
 
 @njit(cache=True)
@@ -58,22 +58,27 @@ def algebraic_residuals(
     sums_y, sums_x: ``ray_sums`` of every slice, float32 (nz, ny) and (nz, nx).
     returns: (ny,), the sums of (missing)^2 / row sum. (Added up elsewhere: compiled sums depend on threads.)
     """
-    ny, nx = crossed.shape
+    ny = crossed.shape[0]
     squares = np.zeros(ny)
     for j in prange(ny):
         row_sums = _row_sums(sums_y, sums_x, j)
-        x, y, height, slice_mm = lengths
-        upright = (y[j] * y[j] + height * height) / (height * height)
-        square = 0.0
-        for i in range(nx):
-            length = np.float32(slice_mm * np.sqrt(upright + (x[i] / height) ** 2))
-            missing = integrals[j, i] / length - crossed[j, i]
-            # Nothing was measured where it is not a number.
-            known = missing == missing and row_sums[i] > LEAST_SUM
-            share = missing / row_sums[i] if known else np.float32(0.0)
-            square += share * missing if known else 0.0
-            crossed[j, i] = share
-        squares[j] = square
+        row_lengths = _row_lengths(lengths[0][j], lengths[1], np.float32(lengths[2]))
+        squares[j] = _residual_row(crossed[j], integrals[j], row_sums, row_lengths)
+    return squares
+
+
+@njit(cache=True, fastmath={"contract", "reassoc"}, error_model="numpy")
+def _residual_row(
+    crossed: FloatArray, integrals: FloatArray, row_sums: FloatArray, row_lengths: FloatArray
+) -> np.float32:
+    squares = np.float32(0.0)
+    for i in range(len(crossed)):
+        missing = integrals[i] / row_lengths[i] - crossed[i]
+        # Nothing was measured where it is not a number.
+        known = (missing == missing) & (row_sums[i] > LEAST_SUM)
+        share = missing / row_sums[i] if known else np.float32(0.0)
+        squares += share * share * row_sums[i]
+        crossed[i] = share
     return squares
 
 
@@ -95,11 +100,10 @@ def likelihood_terms(
     distances = np.zeros(ny)
     for j in prange(ny):
         row_sums = _row_sums(sums_y, sums_x, j)
-        x, y, height, slice_mm = lengths
-        upright = (y[j] * y[j] + height * height) / (height * height)
+        row_lengths = _row_lengths(lengths[0][j], lengths[1], np.float32(lengths[2]))
         distance = 0.0
         for i in range(nx):
-            length = slice_mm * np.sqrt(upright + (x[i] / height) ** 2)
+            length = float(row_lengths[i])
             measured = float(integrals[j, i])
             integral = length * crossed[j, i]
             if measured != measured or row_sums[i] <= LEAST_SUM:
@@ -115,6 +119,14 @@ def likelihood_terms(
             curvature[j, i] = length * length * row_sums[i] * bend
         distances[j] = distance
     return distances
+
+
+@njit(cache=True, fastmath={"contract"}, error_model="numpy")
+def _row_lengths(square_y: np.float32, squares_x: FloatArray, slice_mm: np.float32) -> FloatArray:
+    result = np.empty_like(squares_x)
+    for i in range(len(result)):
+        result[i] = slice_mm * np.sqrt(np.float32(1.0) + square_y + squares_x[i])
+    return result
 
 
 @njit(cache=True, error_model="numpy")

@@ -32,7 +32,11 @@ def view_sums(crossings: Crossings, view: int) -> ViewSums:
     return ViewSums(
         np.stack([ray_sums(offsets[z, 0], steps[z, 0], detector.ny, ny) for z in range(nz)]),
         np.stack([ray_sums(offsets[z, 1], steps[z, 1], detector.nx, nx) for z in range(nz)]),
-        (detector.x_centres() - source_x, detector.y_centres() - source_y, float(source_z), grid.spacing[2]),
+        (
+            (((detector.y_centres() - source_y) / source_z) ** 2).astype(np.float32),
+            (((detector.x_centres() - source_x) / source_z) ** 2).astype(np.float32),
+            grid.spacing[2],
+        ),
     )
 
 

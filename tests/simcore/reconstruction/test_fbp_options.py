@@ -51,6 +51,9 @@ def test_beyond_the_detector_values_may_go_on():
     cut, extended = (filter_columns(constant, ramp, length, extend=extend) for extend in (False, True))
     assert extended.shape == cut.shape == (300, 2)
     assert np.abs(extended).max() < 0.02 * np.abs(cut).max()
+    slope = np.linspace(1.0, 5.0, 300, dtype=np.float32)[:, None]
+    cut, extended = (filter_columns(slope, ramp, length, extend=extend) for extend in (False, True))
+    assert np.abs(extended[[0, -1]]).max() < 0.05 * np.abs(cut[[0, -1]]).max()
     # Where the columns fade out anyway, the two are alike.
     bump = np.zeros((300, 1), np.float32)
     bump[150] = 1.0

@@ -65,7 +65,7 @@ def test_products_of_sums_are_row_and_column_sums(geometry, name):
         np.testing.assert_allclose(np.einsum("zj,zi->ji", sums.along_y, sums.along_x), rows, atol=1e-4)
         length = sums.lengths
         np.testing.assert_allclose(
-            length[3] * np.sqrt(1 + (length[1][:, None] / length[2]) ** 2 + (length[0] / length[2]) ** 2),
+            length[2] * np.sqrt(1 + length[0][:, None] + length[1]),
             crossings.ray_lengths(view),
             rtol=1e-6,
         )
