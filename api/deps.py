@@ -11,7 +11,8 @@ from fastapi import Depends, Request
 from api.errors import ApiError
 from simcore.core.store import Store
 from simcore.spec import SimulationSpec
-from worker.database import connect, create_tables
+from worker import schema
+from worker.database import connect
 from worker.fleet import Fleet
 from worker.jobs import Jobs, NotFoundError
 from worker.messages import CeleryMessenger, Messenger
@@ -30,9 +31,9 @@ class Services:
 
     @classmethod
     def open(cls, settings: Settings, messenger: Messenger | None = None) -> Services:
-        """Connects to the database (its tables are made where they are not there) and opens the store."""
+        """Connects to the database (a SQLite one is brought up to date) and opens the store."""
         engine = connect(settings.resolved_database_url)
-        create_tables(engine)
+        schema.prepare(engine)
         return cls(
             settings,
             Jobs(engine, settings.lease_seconds),

@@ -18,6 +18,7 @@ from simcore import __version__
 from simcore.core.errors import ExportError, SimulationError, SpecError
 from simcore.phantom.upload.tissue_maps import BUILT_IN
 from simcore.spec import SimulationSpec
+from tomosim import operator
 
 EXIT_CODES = {"user": 2, "simulation": 3, "system": 4}
 DEFAULT_DATA = Path("data")
@@ -82,6 +83,8 @@ def _parser() -> argparse.ArgumentParser:
     p.set_defaults(run=_analyse)
 
     _phantom_parser(commands)
+
+    operator.add_commands(commands)
 
     p = commands.add_parser("warm-up", help="compile all kernels once, so that the first case is as fast as the next")
     p.set_defaults(run=_warm_up)

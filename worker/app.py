@@ -16,9 +16,9 @@ from celery import Celery, signals
 from sqlalchemy.exc import SQLAlchemyError
 
 from simcore.core.store import Store
-from worker import logs
+from worker import logs, schema
 from worker.contract import QUEUES, TASK_SIMULATE
-from worker.database import connect, create_tables
+from worker.database import connect
 from worker.fleet import BEAT_SECONDS, Fleet
 from worker.jobs import Jobs
 from worker.messages import create_celery
@@ -35,7 +35,7 @@ class Worker:
         self.settings = settings
         self.name = f"{socket.gethostname()}:{os.getpid()}"
         engine = connect(settings.resolved_database_url)
-        create_tables(engine)
+        schema.prepare(engine)
         self.fleet = Fleet(engine)
         self.slots = Slots(self.name, settings, Jobs(engine, settings.lease_seconds))
         self.celery = create_celery(settings)

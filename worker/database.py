@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -10,19 +9,11 @@ from typing import Any
 
 import sqlalchemy as sa
 from sqlalchemy import event
-from sqlalchemy.exc import SQLAlchemyError
-
-from simcore.core.errors import StoreError
-
-SCHEMA_VERSION = 1
-MAKE_ATTEMPTS = 5
 
 POSTGRES_DRIVER = "postgresql+pg8000"
 """Driver of a URL that names none; the extra ``postgres`` installs it."""
 
 metadata = sa.MetaData()
-
-schema = sa.Table("schema_version", metadata, sa.Column("version", sa.Integer, primary_key=True))
 
 # Times are seconds since 1970 (UTC) in double precision: the same on every database.
 simulations = sa.Table(
@@ -113,31 +104,10 @@ def _begin_sqlite(connection: sa.Connection) -> None:
 
 
 def create_tables(engine: sa.Engine) -> None:
-    """Makes the tables that are not there. Several processes may do so at once.
+    """Makes the tables or brings them up to date. Several processes may do so at once.
 
-    raises: StoreError where the database was made by another version of the tables.
+    raises: StoreError where the database was made by a newer version of the tables.
     """
-    for attempt in range(MAKE_ATTEMPTS):
-        try:
-            found = _make_tables(engine)
-            break
-        except SQLAlchemyError:
-            # Another process made them between the look and the deed, or is about to.
-            if attempt == MAKE_ATTEMPTS - 1:
-                raise
-            time.sleep(0.2)
-    if found != SCHEMA_VERSION:
-        raise StoreError(
-            f"the database has tables of version {found}; this program needs version {SCHEMA_VERSION}: "
-            "use another data folder or database, or the program that made it",
-            code="database-version",
-        )
+    from worker import schema
 
-
-def _make_tables(engine: sa.Engine) -> int:
-    metadata.create_all(engine)
-    with engine.begin() as connection:
-        found: int | None = connection.scalar(sa.select(sa.func.max(schema.c.version)))
-        if found is None:
-            connection.execute(schema.insert().values(version=SCHEMA_VERSION))
-    return found or SCHEMA_VERSION
+    schema.upgrade(engine)

@@ -27,8 +27,8 @@ from typing import IO
 from sqlalchemy.exc import SQLAlchemyError
 
 from simcore.core.errors import SimulationError
-from worker import broker, processes
-from worker.database import connect, create_tables
+from worker import broker, processes, schema
+from worker.database import connect
 from worker.jobs import Jobs
 from worker.settings import Settings
 
@@ -169,7 +169,7 @@ def _start_all(settings: Settings, children: list[Child], signals: _Signals) -> 
     _check_port(settings)
     logs = settings.data_folder / "logs"
     logs.mkdir(exist_ok=True)
-    create_tables(connect(settings.resolved_database_url))
+    _prepare_database(settings)
     expire = partial(_expire_leases, settings)
     expire()
     env = processes.environment(settings, TOMOSIM_BROKER_URL=settings.resolved_broker_url)
@@ -189,6 +189,16 @@ def _start_all(settings: Settings, children: list[Child], signals: _Signals) -> 
     child("worker", lambda: [sys.executable, "-m", "worker"]).ended = expire
     api = child("api", lambda: [sys.executable, "-m", "api"])
     _wait(lambda: _is_ready(settings), api, signals, children)
+
+
+def _prepare_database(settings: Settings) -> None:
+    engine = connect(settings.resolved_database_url)
+    try:
+        schema.prepare(engine)
+    except SQLAlchemyError as error:
+        raise ServeError(f"the database cannot be used: {error}") from error
+    finally:
+        engine.dispose()
 
 
 def _expire_leases(settings: Settings) -> None:

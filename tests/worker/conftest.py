@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 import sqlalchemy as sa
 
-from worker.database import connect, create_tables, metadata
+from worker.database import connect, create_tables
 from worker.jobs import Jobs
 from worker.settings import Settings
 
@@ -102,13 +102,20 @@ def postgres_url() -> Iterator[str]:
         shutil.rmtree(folder, ignore_errors=True)
 
 
+def empty(engine: sa.Engine) -> None:
+    """Removes every table of a PostgreSQL database."""
+    with engine.begin() as connection:
+        connection.execute(sa.text("DROP SCHEMA public CASCADE"))
+        connection.execute(sa.text("CREATE SCHEMA public"))
+
+
 @pytest.fixture(params=["sqlite", pytest.param("postgresql", marks=pytest.mark.needs_postgresql)])
 def engine(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[sa.Engine]:
     if request.param == "sqlite":
         made = connect(f"sqlite:///{tmp_path / 'tomosim.db'}")
     else:
         made = connect(request.getfixturevalue("postgres_url"))
-        metadata.drop_all(made)
+        empty(made)
     create_tables(made)
     yield made
     made.dispose()

@@ -67,6 +67,7 @@ def test_separate_processes(start, make_settings, postgres_url, broker_program, 
         database_url=postgres_url, broker_url=f"redis://127.0.0.1:{broker_port}/0", port=free_port, sweep_seconds=0.3
     )
     env = environment(settings)
+    subprocess.run([sys.executable, "-m", "tomosim", "db", "upgrade"], env=env, check=True)
     worker = start([sys.executable, "-m", "worker"], env)
     start([sys.executable, "-m", "api"], env)
     url = f"http://127.0.0.1:{free_port}"

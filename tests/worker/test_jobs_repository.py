@@ -4,8 +4,6 @@ import threading
 
 import pytest
 
-from simcore.core.errors import StoreError
-from worker.database import create_tables, metadata, schema
 from worker.fleet import Fleet
 from worker.jobs import NotFoundError, StageProgress, StateError
 
@@ -237,29 +235,3 @@ def test_fleet(engine, jobs, queued, clock):
     assert fleet.alive(1e9) == 0
     assert fleet.counts() == {"queued": 1}
     assert fleet.queue_age() == 60
-
-
-def test_tables_of_another_version(engine):
-    with engine.begin() as connection:
-        connection.execute(schema.insert().values(version=99))
-    with pytest.raises(StoreError, match="version 99"):
-        create_tables(engine)
-
-
-def test_tables_made_by_several_at_once(engine):
-    """Several processes start on one fresh database."""
-    metadata.drop_all(engine)
-    failures = []
-
-    def make():
-        try:
-            create_tables(engine)
-        except Exception as error:
-            failures.append(error)
-
-    threads = [threading.Thread(target=make) for _ in range(4)]
-    for t in threads:
-        t.start()
-    for t in threads:
-        t.join()
-    assert failures == []
