@@ -129,7 +129,7 @@ def install(app: FastAPI) -> None:
 
     @app.exception_handler(NotFoundError)
     async def _not_found(request: Request, error: NotFoundError) -> Response:
-        answer = ApiError(404, "simulation-not-found", f"there is no simulation {str(error)[:MAX_SHOWN]}")
+        answer = ApiError(404, f"{error.what}-not-found", f"there is no {error.what} {str(error)[:MAX_SHOWN]}")
         return problem_response(request.url.path, answer)
 
     @app.exception_handler(SimulationError)
