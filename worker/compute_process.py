@@ -23,11 +23,15 @@ EXIT_SECONDS = 5.0
 
 
 class ComputeDiedError(Exception):
-    """The process ended before it had told the outcome; ``error`` says how."""
+    """The process ended before it had told the outcome.
 
-    def __init__(self, error: Json) -> None:
-        super().__init__(error["message"])
-        self.error = error
+    error: says how it ended. by_signal: it was killed or crashed, which may be chance.
+    """
+
+    def __init__(self, code: int) -> None:
+        self.error = crash_error(code)
+        self.by_signal = code < 0
+        super().__init__(self.error["message"])
 
 
 class ComputeProcess:
@@ -76,7 +80,7 @@ class ComputeProcess:
             self._process.stdin.write(json.dumps({"specification": specification}).encode() + b"\n")
             self._process.stdin.flush()
         except OSError:
-            raise ComputeDiedError(self._how_it_ended()) from None
+            raise ComputeDiedError(self._exit_code()) from None
 
     def receive(self, timeout_seconds: float) -> Json | None:
         """The next message, or None where none came in time.
@@ -90,7 +94,7 @@ class ComputeProcess:
                 return None
             chunk = os.read(self._reader, 1 << 20)
             if not chunk:
-                raise ComputeDiedError(self._how_it_ended())
+                raise ComputeDiedError(self._exit_code())
             self._buffer += chunk
         line, _, self._buffer = self._buffer.partition(b"\n")
         message: Json = json.loads(line)
@@ -107,12 +111,11 @@ class ComputeProcess:
             with contextlib.suppress(OSError):
                 self._process.stdin.close()
 
-    def _how_it_ended(self) -> Json:
+    def _exit_code(self) -> int:
         try:
-            code = self._process.wait(EXIT_SECONDS)
+            return self._process.wait(EXIT_SECONDS)
         except subprocess.TimeoutExpired:
-            code = 0
-        return crash_error(code)
+            return 0
 
 
 def crash_error(code: int) -> Json:

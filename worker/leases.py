@@ -191,6 +191,14 @@ class Leases(Generic[Row]):
         with self.engine.begin() as connection:
             return self._change(connection, identifier, ["cancelling"], self._final("cancelled"), mine)
 
+    def try_again(self, identifier: str, owner: str, reason: Json) -> bool:
+        """Queues a row of the owner again after a failure that may be chance; the attempt counts.
+
+        reason: the error {kind, code, message}; it stands in the event.
+        """
+        values = {**NO_OWNER, "state": "queued", "sent": None}
+        return self._finish(identifier, owner, values, reason)
+
     def release(self, identifier: str, owner: str) -> bool:
         """Gives a row back because its worker stops: queued again, and the attempt does not count."""
         values = {
@@ -295,10 +303,10 @@ class Leases(Generic[Row]):
     def _final(self, state: State, **values: Any) -> Json:
         return {**NO_OWNER, "state": state, "finished": self.clock(), **values}
 
-    def _finish(self, identifier: str, owner: str, values: Json) -> bool:
+    def _finish(self, identifier: str, owner: str, values: Json, reason: Json | None = None) -> bool:
         mine = self.table.c.owner == owner
         with self.engine.begin() as connection:
-            return self._change(connection, identifier, ["running"], values, mine) or self._change(
+            return self._change(connection, identifier, ["running"], values, mine, reason=reason) or self._change(
                 connection, identifier, ["cancelling"], self._final("cancelled"), mine
             )
 
@@ -311,6 +319,7 @@ class Leases(Generic[Row]):
         *conditions: sa.ColumnElement[bool],
         kind: str = EVENT_STATE,
         data: Json | None = None,
+        reason: Json | None = None,
     ) -> bool:
         """The one way to change a row: compare the state, set the values, raise the revision, record the event."""
         table = self.table
@@ -326,6 +335,8 @@ class Leases(Generic[Row]):
             data = {"state": values["state"], "attempt": changed.attempt}
             if values.get("error"):
                 data["error"] = values["error"]
+            if reason is not None:
+                data["reason"] = reason
         self._record(connection, identifier, changed.revision, kind, data)
         return True
 

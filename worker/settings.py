@@ -51,7 +51,7 @@ class Settings(BaseSettings):
         0, ge=0, description="memory a case may use [byte]; 0: 0.8 of the machine / worker slots"
     )
     job_timeout_seconds: float = Field(6 * HOUR, gt=0, description="a case that runs longer is stopped [s]")
-    max_attempts: int = Field(3, ge=1, description="times a case is started before a lost worker makes it fail")
+    max_attempts: int = Field(3, ge=1, description="times a case is started before a crash or a lost worker fails it")
     lease_seconds: float = Field(30.0, gt=0, description="a worker silent for longer has lost its case [s]")
     resend_seconds: float = Field(30.0, gt=0, description="a queued case without a message is sent again after [s]")
     sweep_seconds: float = Field(2.0, gt=0, description="interval of the sweep for lost cases [s]")

@@ -125,9 +125,14 @@ class Slot:
                             self.kill()
                         return self._failure(job, owner, error)
         except ComputeDiedError as died:
-            log.warning("compute process ended", extra={"simulation": job.id, "error": died.error})
+            error = died.error
+            log.warning("compute process ended", extra={"simulation": job.id, "error": error})
             self.kill()
-            return self._failure(job, owner, died.error)
+            if not died.by_signal:
+                return self._failure(job, owner, error)
+            if job.attempt < self.settings.max_attempts:
+                return lambda: self.jobs.try_again(job.id, owner, error)
+            return self._failure(job, owner, _crashed_every_time(error, job.attempt))
 
     def _failure(self, job: Simulation, owner: str, error: Json) -> Callable[[], bool]:
         return lambda: self.jobs.fail(job.id, owner, error)
@@ -221,6 +226,10 @@ def _nothing_to_write() -> bool:
 
 def _stage_progress(message: Json) -> StageProgress:
     return StageProgress(**{key: value for key, value in message.items() if key != "type"})
+
+
+def _crashed_every_time(error: Json, attempts: int) -> Json:
+    return {**error, "message": f"{error['message']} (attempt {attempts}, the last one)"}
 
 
 def _timeout(seconds: float) -> Json:

@@ -4,7 +4,7 @@ slow      four seconds of work in steps       forever   does not come to an end
 silent    sleeps and tells nothing            noise     prints to standard output
 crash     kills its own process (SIGSEGV)     memory    asks for more memory than there is
 gigabyte  fills a gigabyte of memory          refuse    raises a SolverError
-mistake   raises a KeyError
+mistake   raises a KeyError                   exit      ends its own process
 """
 
 import json
@@ -82,6 +82,8 @@ def misbehave(name: str, progress: Any) -> None:
         bytearray(1_000_000_000)
     if name == "crash":
         os.kill(os.getpid(), signal.SIGSEGV)
+    if name == "exit":
+        os._exit(3)
     if name == "silent":
         time.sleep(600)
     if name in ("slow", "forever"):

@@ -99,14 +99,14 @@ def test_a_case_succeeds_and_the_process_stays_warm(slot, jobs):
         ("refuse", "simulation", "solver-failed", "did not converge"),
         ("mistake", "system", "internal-error", "KeyError"),
         ("memory", "system", "out-of-memory", "TOMOSIM_MEMORY_LIMIT_BYTES"),
-        ("crash", "system", "compute-crashed", "SIGSEGV"),
+        ("exit", "system", "compute-crashed", "exit code 3"),
     ],
 )
 def test_a_failure_is_clear_and_the_next_case_works(slot, jobs, name, kind, code, words):
     identifier = queue(jobs, name)
     slot.run(identifier)
     row = jobs.get(identifier)
-    assert row.state == "failed"
+    assert (row.state, row.attempt) == ("failed", 1)
     assert (row.error["kind"], row.error["code"]) == (kind, code)
     assert words in row.error["message"]
     next_case_works(slot, jobs)
@@ -123,16 +123,53 @@ def test_memory_limit_holds(make_settings, jobs):
         slot.kill()
 
 
-def test_killed_compute_process(slot, jobs):
-    identifier = queue(jobs, "forever")
+def test_a_case_that_always_crashes_fails_after_three_attempts(slot, jobs):
+    identifier = queue(jobs, "crash")
+    for attempt in (1, 2):
+        slot.run(identifier)
+        row = jobs.get(identifier)
+        assert (row.state, row.attempt, row.sent, row.error) == ("queued", attempt, None, None)
+    slot.run(identifier)
+    row = jobs.get(identifier)
+    assert (row.state, row.attempt, row.error["code"]) == ("failed", 3, "compute-crashed")
+    assert "SIGSEGV" in row.error["message"]
+    assert "attempt 3" in row.error["message"]
+    next_case_works(slot, jobs)
+
+
+def test_a_killed_compute_process_costs_an_attempt_not_the_case(slot, jobs):
+    identifier = queue(jobs, "slow")
     thread = run_in_thread(slot, identifier)
     running(jobs, identifier)
     os.kill(slot.warm_up().pid, signal.SIGKILL)
     thread.join(PATIENCE_SECONDS)
+    assert jobs.get(identifier).state == "queued"
+    assert "SIGKILL" in jobs.events_after(identifier, 0)[-1].data["reason"]["message"]
+    slot.run(identifier)
+    assert (jobs.get(identifier).state, jobs.get(identifier).attempt) == ("succeeded", 2)
+
+
+def test_a_cancelled_case_is_not_tried_again_after_a_crash(slot, jobs, monkeypatch):
+    identifier = queue(jobs, "forever")
+    thread = run_in_thread(slot, identifier)
+    running(jobs, identifier)
+    # The crash is noticed before the cancellation.
+    monkeypatch.setattr("worker.supervisor.STATE_SECONDS", 3600)
+    jobs.cancel(identifier)
+    os.kill(slot.warm_up().pid, signal.SIGSEGV)
+    thread.join(PATIENCE_SECONDS)
+    assert jobs.get(identifier).state == "cancelled"
+
+
+def test_cancel_while_the_process_starts(slot, jobs):
+    identifier = queue(jobs, "fine")
+    thread = run_in_thread(slot, identifier)
+    wait_for(lambda: jobs.get(identifier).state == "running")
+    assert not slot.warm_up().ready
+    jobs.cancel(identifier)
+    thread.join(PATIENCE_SECONDS)
     row = jobs.get(identifier)
-    assert (row.state, row.error["code"]) == ("failed", "compute-crashed")
-    assert "SIGKILL" in row.error["message"]
-    next_case_works(slot, jobs)
+    assert (row.state, row.stage) == ("cancelled", None)
 
 
 def test_killed_between_two_cases(slot, jobs):
