@@ -6,10 +6,11 @@ from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
 from typing import Any
 
-from fastapi import FastAPI
+from fastapi import Depends, FastAPI
 from fastapi.concurrency import run_in_threadpool
 
 from api import artifacts, catalog, errors, events, health, page, phantoms, simulations
+from api.auth import authenticate
 from api.deps import Services
 from api.guard import Guard
 from api.resources import PREFIX
@@ -57,9 +58,9 @@ def create_app(settings: Settings | None = None, messenger: Messenger | None = N
         },
     )
     errors.install(app)
-    app.add_middleware(Guard, settings=chosen)
+    app.add_middleware(Guard)
     for module in (simulations, events, artifacts, phantoms, catalog):
-        app.include_router(module.router, prefix=PREFIX)
+        app.include_router(module.router, prefix=PREFIX, dependencies=[Depends(authenticate)])
     app.include_router(health.router)
     app.include_router(page.router)
     _describe_specification(app)

@@ -14,6 +14,7 @@ from fastapi.responses import StreamingResponse
 from stream_zip import NO_COMPRESSION_64, stream_zip
 
 from api import files
+from api.auth import Read
 from api.deps import Identifier, Served, Services
 from api.errors import ApiError
 from api.resources import ArtifactList, ArtifactResource, simulation_path
@@ -36,7 +37,7 @@ router = APIRouter(prefix="/simulations/{identifier}", tags=["results"])
 
 
 @router.get("/artifacts")
-def list_artifacts(identifier: Identifier, served: Served) -> ArtifactList:
+def list_artifacts(caller: Read, identifier: Identifier, served: Served) -> ArtifactList:
     """Every file of the case with its size and digest."""
     manifest = finished_manifest(served, identifier)
     path = simulation_path(identifier)
@@ -58,7 +59,7 @@ def list_artifacts(identifier: Identifier, served: Served) -> ArtifactList:
 
 @router.head("/artifacts/{name:path}", include_in_schema=False)
 @router.get("/artifacts/{name:path}", response_class=Response, responses=_FILE_RESPONSES)
-def get_artifact(identifier: Identifier, name: str, served: Served, request: Request) -> Response:
+def get_artifact(caller: Read, identifier: Identifier, name: str, served: Served, request: Request) -> Response:
     """One file; byte ranges are served. Its entity tag is its SHA-256: the content never changes."""
     refs = file_refs(finished_manifest(served, identifier))
     if name not in refs:
@@ -67,7 +68,7 @@ def get_artifact(identifier: Identifier, name: str, served: Served, request: Req
 
 
 @router.get("/manifest")
-def get_manifest(identifier: Identifier, served: Served) -> Response:
+def get_manifest(caller: Read, identifier: Identifier, served: Served) -> Response:
     """Specification, seeds, versions, stage keys, seconds, and the digest of every file."""
     content = manifest_bytes(finished_manifest(served, identifier))
     return Response(content, media_type="application/json")
@@ -75,6 +76,7 @@ def get_manifest(identifier: Identifier, served: Served) -> Response:
 
 @router.get("/archive", response_class=StreamingResponse, responses={200: {"content": {"application/zip": _BINARY}}})
 def get_archive(
+    caller: Read,
     identifier: Identifier,
     served: Served,
     only: Annotated[

@@ -8,6 +8,7 @@ from fastapi import APIRouter
 from fastapi.responses import JSONResponse
 from pydantic import BaseModel
 
+from api.auth import Read
 from api.deps import Served
 from api.errors import ApiError
 from api.resources import PREFIX
@@ -67,13 +68,13 @@ class ServiceInfo(BaseModel):
 
 
 @router.get("/presets")
-def list_presets() -> PresetList:
+def list_presets(caller: Read) -> PresetList:
     """The names of all presets."""
     return PresetList(items=[_preset(name) for name in presets.names()])
 
 
 @router.get("/presets/{name}")
-def get_preset(name: str) -> PresetResource:
+def get_preset(caller: Read, name: str) -> PresetResource:
     """One preset with its specification, ready to be posted."""
     try:
         specification = presets.get(name).model_dump(mode="json")
@@ -87,13 +88,13 @@ def _preset(name: str) -> PresetResource:
 
 
 @router.get("/schemas")
-def list_schemas() -> Listing:
+def list_schemas(caller: Read) -> Listing:
     """The documents whose JSON Schema is here."""
     return Listing(items=[{"name": name, "href": f"{PREFIX}/schemas/{name}"} for name in SCHEMAS])
 
 
 @router.get("/schemas/{name}")
-def get_schema(name: str) -> JSONResponse:
+def get_schema(caller: Read, name: str) -> JSONResponse:
     """JSON Schema (2020-12) of a document; quantities carry their ``unit``."""
     if name not in SCHEMAS:
         raise ApiError(404, "schema-not-found", f"there is no schema {name!r}; there are: {', '.join(SCHEMAS)}")
@@ -102,7 +103,7 @@ def get_schema(name: str) -> JSONResponse:
 
 
 @router.get("/service-info")
-def service_info(served: Served) -> ServiceInfo:
+def service_info(caller: Read, served: Served) -> ServiceInfo:
     """Version and limits."""
     settings = served.settings
     return ServiceInfo(

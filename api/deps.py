@@ -15,6 +15,7 @@ from worker import schema
 from worker.database import connect
 from worker.fleet import Fleet
 from worker.jobs import Jobs, NotFoundError
+from worker.keys import Keys, check_address
 from worker.messages import CeleryMessenger, Messenger
 from worker.settings import Settings
 
@@ -26,18 +27,25 @@ class Services:
     settings: Settings
     jobs: Jobs
     fleet: Fleet
+    keys: Keys
     messenger: Messenger
     store: Store
 
     @classmethod
     def open(cls, settings: Settings, messenger: Messenger | None = None) -> Services:
-        """Connects to the database (a SQLite one is brought up to date) and opens the store."""
+        """Connects to the database (a SQLite one is brought up to date) and opens the store.
+
+        raises: SettingsError where the address needs API keys and there are none.
+        """
         engine = connect(settings.resolved_database_url)
         schema.prepare(engine)
+        keys = Keys(engine)
+        check_address(settings, keys)
         return cls(
             settings,
             Jobs(engine, settings.lease_seconds),
             Fleet(engine),
+            keys,
             messenger or CeleryMessenger(settings),
             Store(settings.store_folder),
         )

@@ -12,6 +12,7 @@ from fastapi import APIRouter, Header
 from fastapi.concurrency import run_in_threadpool
 from fastapi.responses import StreamingResponse
 
+from api.auth import Read
 from api.deps import Identifier, Served
 from api.errors import ApiError
 from api.resources import simulation_path
@@ -31,6 +32,7 @@ router = APIRouter(prefix="/simulations", tags=["simulations"])
     responses={200: {"content": {"text/event-stream": {}}}, 400: {"description": "bad-event-id"}},
 )
 def events(
+    caller: Read,
     identifier: Identifier,
     served: Served,
     last_event_id: Annotated[str | None, Header(description="the last event seen; a number")] = None,

@@ -1,7 +1,7 @@
-"""What a browser on this machine could be made to do: requests of other sites are refused.
+"""What a browser could be made to do by a page of another site: requests that change something are refused.
 
-Without keys the service trusts whoever reaches it on loopback. A page of another site in the same user's browser
-reaches it as well: by a name that it lets point to 127.0.0.1 (the Host header tells), or by a form (Origin tells).
+A browser adds by itself that it is on this machine, and the password that it was told. Origin says which page asks.
+A bearer key is never added by itself. (A foreign name that points to this machine: ``api.auth``.)
 """
 
 from __future__ import annotations
@@ -12,7 +12,6 @@ from starlette.datastructures import Headers, MutableHeaders
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from api.errors import ApiError, problem_response
-from worker.settings import Settings, is_loopback
 
 SAFE_METHODS = ("GET", "HEAD", "OPTIONS")
 
@@ -20,9 +19,8 @@ SAFE_METHODS = ("GET", "HEAD", "OPTIONS")
 class Guard:
     """ASGI middleware."""
 
-    def __init__(self, app: ASGIApp, settings: Settings) -> None:
+    def __init__(self, app: ASGIApp) -> None:
         self.app = app
-        self.loopback_only = not settings.trusted_network
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         if scope["type"] != "http":
@@ -40,11 +38,16 @@ class Guard:
         await self.app(scope, receive, send_guarded)
 
     def _refusal(self, method: str, headers: Headers) -> ApiError | None:
-        host = headers.get("host", "")
-        name = urlsplit(f"//{host}").hostname or ""
-        if self.loopback_only and not is_loopback(name):
-            return ApiError(403, "host-not-allowed", f"Host = {host[:100]!r}: ask for 127.0.0.1 or localhost")
         origin = headers.get("origin")
-        if method not in SAFE_METHODS and origin is not None and urlsplit(origin).netloc != host:
-            return ApiError(403, "cross-origin", f"Origin = {origin[:100]!r}: pages of other sites may only read")
+        if method in SAFE_METHODS or origin is None or headers.get("authorization", "").lower().startswith("bearer "):
+            return None
+        if _netloc(origin) == headers.get("host", ""):
+            return None
+        return ApiError(403, "cross-origin", f"Origin = {origin[:100]!r}: pages of other sites may only read")
+
+
+def _netloc(origin: str) -> str | None:
+    try:
+        return urlsplit(origin).netloc
+    except ValueError:
         return None

@@ -10,6 +10,7 @@ from collections.abc import Callable
 from fastapi import APIRouter
 from fastapi.responses import JSONResponse, PlainTextResponse
 
+from api.auth import Read
 from api.deps import Served, Services
 from api.errors import ApiError
 from worker.contract import STATES
@@ -47,7 +48,7 @@ def readyz(served: Served) -> JSONResponse:
 
 
 @router.get("/metrics")
-def metrics(served: Served) -> PlainTextResponse:
+def metrics(caller: Read, served: Served) -> PlainTextResponse:
     """Counts in the text format of Prometheus."""
     counts = served.fleet.counts()
     lines = [

@@ -9,6 +9,7 @@ from fastapi import APIRouter, Depends, Query, Request, Response
 from fastapi.concurrency import run_in_threadpool
 from pydantic import BaseModel, Field
 
+from api.auth import Read, Write
 from api.deps import Served, services
 from api.errors import ApiError
 from api.resources import PREFIX
@@ -62,6 +63,7 @@ def _reading(
 
 @router.post("", status_code=201, openapi_extra=_BODY)
 async def create(
+    caller: Write,
     request: Request,
     response: Response,
     reading: Annotated[Reading, Depends(_reading)],
@@ -90,13 +92,13 @@ async def create(
 
 
 @router.get("")
-def list_phantoms(served: Served) -> PhantomList:
+def list_phantoms(caller: Read, served: Served) -> PhantomList:
     """All label volumes, by digest."""
     return PhantomList(items=[phantom_resource(upload) for upload in registry.uploads(served.store)])
 
 
 @router.get("/{sha256}")
-def get_phantom(sha256: str, served: Served) -> PhantomResource:
+def get_phantom(caller: Read, sha256: str, served: Served) -> PhantomResource:
     """One label volume."""
     upload = registry.get(served.store, sha256) if registry.is_digest(sha256) else None
     if upload is None:

@@ -8,6 +8,7 @@ from typing import Annotated, Any
 from fastapi import APIRouter, Header, Query, Request, Response
 
 from api import pages
+from api.auth import Read, Write
 from api.conditions import none_match
 from api.deps import Identifier, PostedSpecification, Served, Services
 from api.errors import ApiError
@@ -37,7 +38,7 @@ router = APIRouter(prefix="/simulations", tags=["simulations"])
 
 @router.post("", status_code=202, openapi_extra=_BODY)
 def create(
-    specification: PostedSpecification, served: Served, request: Request, response: Response
+    caller: Write, specification: PostedSpecification, served: Served, request: Request, response: Response
 ) -> SimulationResource:
     """Takes a case into the queue."""
     needs = _check(specification, served)
@@ -50,13 +51,14 @@ def create(
 
 
 @router.post("/estimate", openapi_extra=_BODY)
-def estimate_needs(specification: PostedSpecification, served: Served) -> Estimate:
+def estimate_needs(caller: Read, specification: PostedSpecification, served: Served) -> Estimate:
     """What a case would need; nothing is kept."""
     return _check(specification, served)
 
 
 @router.get("")
 def list_simulations(
+    caller: Read,
     served: Served,
     request: Request,
     response: Response,
@@ -77,6 +79,7 @@ def list_simulations(
 
 @router.get("/{identifier}", responses={304: {"description": "not changed"}})
 def get_simulation(
+    caller: Read,
     identifier: Identifier,
     served: Served,
     response: Response,
@@ -94,7 +97,7 @@ def get_simulation(
 
 
 @router.post("/{identifier}/cancel", status_code=202)
-def cancel(identifier: Identifier, served: Served, response: Response) -> SimulationResource:
+def cancel(caller: Write, identifier: Identifier, served: Served, response: Response) -> SimulationResource:
     """Stops a case: at once where it is queued, within a second or so where it runs."""
     try:
         row = served.jobs.cancel(identifier)
@@ -108,7 +111,9 @@ def cancel(identifier: Identifier, served: Served, response: Response) -> Simula
 
 
 @router.post("/{identifier}/retry", status_code=202)
-def retry(identifier: Identifier, served: Served, request: Request, response: Response) -> SimulationResource:
+def retry(
+    caller: Write, identifier: Identifier, served: Served, request: Request, response: Response
+) -> SimulationResource:
     """Queues a failed or cancelled case again; stages that finished are not computed again."""
     try:
         row = served.jobs.retry(identifier)
@@ -123,7 +128,7 @@ def retry(identifier: Identifier, served: Served, request: Request, response: Re
 
 
 @router.delete("/{identifier}", status_code=204)
-def delete(identifier: Identifier, served: Served) -> None:
+def delete(caller: Write, identifier: Identifier, served: Served) -> None:
     """Forgets a finished case. Stored stages stay: other cases may use them."""
     try:
         served.jobs.delete(identifier)

@@ -18,6 +18,12 @@ Queue = Literal["interactive", "batch", "delivery"]
 QUEUES: tuple[Queue, ...] = get_args(Queue)
 DEFAULT_QUEUE: Queue = "interactive"
 
+Scope = Literal["read", "write", "deliver", "admin"]
+"""What an API key may do. read: look and download; write: cases, studies, phantoms, webhooks; deliver: send to a
+destination; admin: everything."""
+
+SCOPES: tuple[Scope, ...] = get_args(Scope)
+
 EVENT_STATE = "state"
 EVENT_PROGRESS = "progress"
 

@@ -43,8 +43,12 @@ simulations = sa.Table(
     sa.Column("error", sa.JSON(none_as_null=True)),
     sa.Column("results", sa.JSON(none_as_null=True)),
     sa.Column("manifest", sa.JSON(none_as_null=True)),
+    # The API key that posted it ("local", "admin" where there was none), and the identifier of that request.
+    sa.Column("submitted_by", sa.String(32)),
+    sa.Column("request_id", sa.String(128)),
     sa.Index("simulations_by_age", "created", "id"),
     sa.Index("simulations_by_state", "state", "created"),
+    sa.Index("simulations_by_key", "submitted_by", "created"),
 )
 
 events = sa.Table(

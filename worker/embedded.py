@@ -30,6 +30,7 @@ from simcore.core.errors import SimulationError
 from worker import broker, processes, schema
 from worker.database import connect
 from worker.jobs import Jobs
+from worker.keys import Keys, check_address
 from worker.settings import Settings
 
 START_SECONDS = 60.0
@@ -173,8 +174,10 @@ def _start_all(settings: Settings, children: list[Child], signals: _Signals) -> 
     expire = partial(_expire_leases, settings)
     expire()
     env = processes.environment(settings, TOMOSIM_BROKER_URL=settings.resolved_broker_url)
+    # Who may ask is the business of the API alone.
+    keyless = {**env, "TOMOSIM_ADMIN_KEY": "", "TOMOSIM_ADMIN_KEY_FILE": ""}
 
-    def child(name: str, command: Callable[[], list[str]]) -> Child:
+    def child(name: str, command: Callable[[], list[str]], env: dict[str, str] = keyless) -> Child:
         log = logs / f"{name}.log"
         if log.exists() and log.stat().st_size > MAX_LOG_BYTES:
             log.replace(log.with_suffix(".log.1"))
@@ -187,7 +190,7 @@ def _start_all(settings: Settings, children: list[Child], signals: _Signals) -> 
         server = child("broker", lambda: broker.command(settings))
         _wait(lambda: broker.answers(settings), server, signals)
     child("worker", lambda: [sys.executable, "-m", "worker"]).ended = expire
-    api = child("api", lambda: [sys.executable, "-m", "api"])
+    api = child("api", lambda: [sys.executable, "-m", "api"], env)
     _wait(lambda: _is_ready(settings), api, signals, children)
 
 
@@ -195,6 +198,7 @@ def _prepare_database(settings: Settings) -> None:
     engine = connect(settings.resolved_database_url)
     try:
         schema.prepare(engine)
+        check_address(settings, Keys(engine))
     except SQLAlchemyError as error:
         raise ServeError(f"the database cannot be used: {error}") from error
     finally:

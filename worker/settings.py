@@ -6,10 +6,11 @@ import hashlib
 import ipaddress
 import os
 import tempfile
+from functools import cached_property
 from pathlib import Path
 from typing import Literal, Self
 
-from pydantic import Field, ValidationError, field_validator, model_validator
+from pydantic import Field, SecretStr, ValidationError, field_validator, model_validator
 from pydantic_settings import BaseSettings, SettingsConfigDict
 
 from simcore.core.errors import SimulationError
@@ -21,6 +22,8 @@ ENV_PREFIX = "TOMOSIM_"
 MAX_SOCKET_PATH = 100
 
 HOUR = 3600.0
+
+MIN_SECRET_LENGTH = 32
 
 
 class SettingsError(SimulationError):
@@ -42,9 +45,13 @@ class Settings(BaseSettings):
     port: int = Field(8080, ge=1, le=65535, description="port the API binds to")
     trusted_network: bool = Field(
         False,
-        description="everybody who can reach the address may do everything: allows a host that is not loopback "
-        "(inside a container whose port is published on loopback only, for instance)",
+        description="everybody who can reach the address may do everything as long as there is no API key: allows a "
+        "host that is not loopback (inside a container whose port is published on loopback only, for instance)",
     )
+    admin_key: SecretStr = Field(
+        SecretStr(""), description="an API key that may do everything, of at least 32 characters; empty: none"
+    )
+    admin_key_file: str = Field("", description="a file that holds this key instead")
     worker_slots: int = Field(1, ge=1, le=64, description="cases one worker computes at a time")
     threads_per_slot: int = Field(0, ge=0, le=1024, description="threads of a case; 0: cores / worker slots")
     memory_limit_bytes: int = Field(
@@ -68,12 +75,16 @@ class Settings(BaseSettings):
         return value.expanduser().absolute()
 
     @model_validator(mode="after")
-    def _only_loopback_without_keys(self) -> Self:
-        if not self.trusted_network and not is_loopback(self.host):
+    def _check_admin_key(self) -> Self:
+        try:
+            length = len(self.admin_secret)
+        except (OSError, UnicodeDecodeError) as error:
+            raise ValueError(f"TOMOSIM_ADMIN_KEY_FILE = {self.admin_key_file!r} cannot be read: {error}") from None
+        if length < MIN_SECRET_LENGTH and (self.admin_key_file or length):
+            name = "TOMOSIM_ADMIN_KEY" + "_FILE" * bool(self.admin_key_file)
             raise ValueError(
-                f"TOMOSIM_HOST = {self.host!r}: without API keys only a loopback address is allowed (127.0.0.1, "
-                "::1, localhost); put a proxy that asks who is there in front, or set TOMOSIM_TRUSTED_NETWORK=true "
-                "where everybody who can reach the address may do everything"
+                f"{name}: the key has {length} characters, at least {MIN_SECRET_LENGTH} are needed; "
+                "'openssl rand -hex 32' makes one"
             )
         return self
 
@@ -87,6 +98,13 @@ class Settings(BaseSettings):
             return cls(**changes)  # type: ignore[arg-type]
         except ValidationError as error:
             raise SettingsError("; ".join(_problem(item) for item in error.errors())) from None
+
+    @cached_property
+    def admin_secret(self) -> str:
+        """The administrator's key of the settings; empty: none."""
+        if self.admin_key_file:
+            return Path(self.admin_key_file).read_text().strip()
+        return self.admin_key.get_secret_value()
 
     @property
     def store_folder(self) -> Path:
@@ -135,6 +153,7 @@ class Settings(BaseSettings):
     def environment(self) -> dict[str, str]:
         """The variables that give a child process the same settings."""
         values = self.model_dump(mode="json")
+        values["admin_key"] = self.admin_key.get_secret_value()
         return {ENV_PREFIX + name.upper(): str(value) for name, value in values.items()}
 
 

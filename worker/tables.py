@@ -1,7 +1,7 @@
 """Every file that registers tables, so that importing this one makes ``worker.database.metadata`` complete."""
 
-from worker import database
+from worker import database, keys
 
-__all__ = ["database", "metadata"]
+__all__ = ["database", "keys", "metadata"]
 
 metadata = database.metadata

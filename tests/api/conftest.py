@@ -14,6 +14,7 @@ from simcore.spec import SimulationSpec
 from worker.settings import Settings
 
 URL = "http://127.0.0.1"
+LOOPBACK = ("127.0.0.1", 50000)
 FAKE_PIPELINE = Path(__file__).parent.parent / "worker" / "fake_pipeline.py"
 
 
@@ -50,7 +51,7 @@ def settings(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Settings:
 
 @pytest.fixture
 def client(settings: Settings, broker: FakeBroker) -> Iterator[TestClient]:
-    with TestClient(create_app(settings, broker, sweep=False), base_url=URL) as made:
+    with TestClient(create_app(settings, broker, sweep=False), base_url=URL, client=LOOPBACK) as made:
         yield made
 
 

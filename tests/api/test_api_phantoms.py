@@ -11,6 +11,8 @@ from fastapi.testclient import TestClient
 from api.deps import Services
 from simcore.phantom.upload import registry
 
+URL = "http://127.0.0.1"
+LOOPBACK = ("127.0.0.1", 50000)
 PATH = "/v1/phantoms"
 BINARY = {"Content-Type": "application/octet-stream"}
 
@@ -26,7 +28,7 @@ LABELS = breast()
 def nrrd(labels: np.ndarray = LABELS, sizes: str | None = None) -> bytes:
     sizes = sizes or " ".join(map(str, reversed(labels.shape)))
     head = f"NRRD0004\ntype: uchar\ndimension: 3\nsizes: {sizes}\nencoding: gzip\nspacings: 2 2 2\n\n"
-    return head.encode() + gzip.compress(labels.tobytes())
+    return head.encode() + gzip.compress(labels.tobytes(), mtime=0)
 
 
 @pytest.fixture
@@ -101,7 +103,7 @@ def test_more_than_the_limit_is_refused_whether_announced_or_not(settings, broke
     from api.app import create_app
 
     small = settings.model_copy(update={"upload_limit_bytes": 300})
-    with TestClient(create_app(small, broker, sweep=False), base_url="http://127.0.0.1") as client:
+    with TestClient(create_app(small, broker, sweep=False), base_url=URL, client=LOOPBACK) as client:
         is_problem(client.post(PATH, content=bytes(301), headers=BINARY), 413, "too-large")
         is_problem(client.post(PATH, content=iter([bytes(200)] * 2), headers=BINARY), 413, "too-large")
         store = client.app.state.services.store

@@ -243,7 +243,10 @@ def test_an_unexpected_error_tells_no_secrets(settings, broker, served, is_probl
 
     monkeypatch.setattr(Jobs, "page", broken)
     with TestClient(
-        create_app(settings, broker, sweep=False), base_url="http://127.0.0.1", raise_server_exceptions=False
+        create_app(settings, broker, sweep=False),
+        base_url="http://127.0.0.1",
+        raise_server_exceptions=False,
+        client=("127.0.0.1", 50000),
     ) as client:
         problem = is_problem(client.get("/v1/simulations"), 500, "internal-error")
     assert "password" not in json.dumps(problem)
@@ -258,7 +261,7 @@ class TestOtherSites:
 
     @pytest.mark.parametrize("host", ["127.0.0.1:8080", "localhost:8080", "[::1]:8080"])
     def test_our_own_names(self, client, host):
-        assert client.get("/livez", headers={"Host": host}).status_code == 200
+        assert client.get("/v1/presets", headers={"Host": host}).status_code == 200
 
     def test_a_foreign_form(self, client, post, is_problem):
         path = post()["links"]["cancel"]
@@ -273,4 +276,4 @@ class TestOtherSites:
 
         open_settings = settings.model_copy(update={"trusted_network": True})
         with TestClient(create_app(open_settings, broker, sweep=False), base_url="http://tomosim.lan") as client:
-            assert client.get("/livez").status_code == 200
+            assert client.get("/v1/presets").status_code == 200

@@ -7,6 +7,9 @@ from pathlib import Path
 
 import pytest
 
+from worker import schema
+from worker.database import connect
+from worker.keys import Keys, check_address
 from worker.processes import environment
 from worker.settings import MAX_SOCKET_PATH, Settings, SettingsError, is_loopback
 
@@ -22,9 +25,35 @@ def test_defaults_need_nothing(make_settings):
 
 @pytest.mark.parametrize("host", ["0.0.0.0", "192.168.1.4", "::", "example.org"])
 def test_only_loopback_without_keys(make_settings, host):
+    engine = connect("sqlite://")
+    schema.upgrade(engine)
+    keys = Keys(engine)
     with pytest.raises(SettingsError, match=r"TOMOSIM_HOST.*loopback"):
-        make_settings(host=host)
-    assert make_settings(host=host, trusted_network=True).host == host
+        check_address(make_settings(host=host), keys)
+    check_address(make_settings(host=host, trusted_network=True), keys)
+    check_address(make_settings(host=host, admin_key="a" * 32), keys)
+    keys.create("one", ["read"])
+    check_address(make_settings(host=host), keys)
+
+
+def test_admin_key_from_a_file(make_settings, tmp_path):
+    path = tmp_path / "key"
+    path.write_text("a" * 40 + "\n")
+    settings = make_settings(admin_key_file=str(path))
+    assert settings.admin_secret == "a" * 40
+    assert "aaaa" not in repr(make_settings(admin_key="a" * 40))
+
+
+@pytest.mark.parametrize("content", [None, "", "short"])
+def test_a_wrong_admin_key_stops_the_start(make_settings, tmp_path, content):
+    path = tmp_path / "key"
+    if content is not None:
+        path.write_text(content)
+    with pytest.raises(SettingsError, match="TOMOSIM_ADMIN_KEY_FILE"):
+        make_settings(admin_key_file=str(path))
+    if content:
+        with pytest.raises(SettingsError, match="TOMOSIM_ADMIN_KEY: the key has 5"):
+            make_settings(admin_key=content)
 
 
 @pytest.mark.parametrize(
@@ -41,7 +70,7 @@ def test_a_wrong_value_names_its_variable(make_settings, monkeypatch):
 
 
 def test_environment_round_trip(make_settings, monkeypatch):
-    settings = make_settings(port=4711, lease_seconds=2.5, trusted_network=True)
+    settings = make_settings(port=4711, lease_seconds=2.5, trusted_network=True, admin_key="a" * 40)
     for name, value in settings.environment().items():
         monkeypatch.setenv(name, value)
     assert Settings.load() == settings
