@@ -1,4 +1,4 @@
-"""Export of a case as one DICOM study: projections in two forms, the volume, and the tissues as ground truth."""
+"""Export of a case as one DICOM study: projections in two forms, the volume, tissues and lesions as ground truth."""
 
 from __future__ import annotations
 
@@ -28,6 +28,9 @@ def export(
     projections.dcm           Breast Projection X-Ray Image - For Processing, one frame a view
     tomosynthesis.dcm         Breast Tomosynthesis Image, one frame a slice; real world values in 1/mm
     labels.dcm                Label Map Segmentation, RLE: ``compressed`` (support frame) at the voxels of the volume
+    lesions.dcm               Segmentation, one segment a lesion; left out where the volume holds none
+    truth.csv                 the lesions as boxes; see simcore.dicom.truth_table
+    and what spec.extra_objects asks for; see simcore.dicom.extras
 
     Rows of all images run along x, columns along y. The arrays may be memory maps; pixel data is streamed, so next
     to nothing is held beside them. Nothing depends on the clock: equal arguments give equal bytes.

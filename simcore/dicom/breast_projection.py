@@ -10,10 +10,11 @@ from pydicom.sequence import Sequence
 from pydicom.uid import BreastProjectionXRayImageStorageForProcessing
 
 from simcore.dicom.common import (
-    code,
+    Instance,
     date_time,
     decimal,
     dimensions,
+    erect,
     functional_groups,
     item,
     items,
@@ -37,7 +38,7 @@ SOP_CLASS = BreastProjectionXRayImageStorageForProcessing
 IMAGE_TYPE = ["ORIGINAL", "PRIMARY", "TOMO_PROJ", "NONE"]
 
 
-def breast_projection_image(study: Study) -> Dataset:
+def breast_projection_image(study: Study) -> Instance:
     """All views as the frames of one object, in the order of the stack."""
     dataset = study.dataset(BREAST_PROJECTION, SOP_CLASS, "MG")
     views = study.stack.geometry.views
@@ -51,9 +52,7 @@ def breast_projection_image(study: Study) -> Dataset:
     dataset.PositionerType = "MAMMOGRAPHIC"
     dataset.TypeOfDetectorMotion = detector_motion(study.stack.geometry)
     dataset.PatientOrientation = study.frames.patient_orientation()
-    erect = code("C86043", "NCIt", "erect")
-    erect.PatientOrientationModifierCodeSequence = items(code("10904000", "SCT", "standing"))
-    dataset.PatientOrientationCodeSequence = items(erect)
+    dataset.update(erect())
     dataset.PhotometricInterpretation = "MONOCHROME1"
     dataset.PresentationLUTShape = "INVERSE"
     set_detector(dataset, study)
@@ -74,8 +73,7 @@ def breast_projection_image(study: Study) -> Dataset:
     dataset.SharedFunctionalGroupsSequence = items(_shared_groups(study))
     dataset.PerFrameFunctionalGroupsSequence = Sequence([_frame_groups(study, view) for view in range(views)])
     study.add_private(dataset, "projections")
-    set_pixels(dataset, study.stack.data, study.case.detector_bits)
-    return dataset
+    return set_pixels(dataset, study.stack.data, study.case.detector_bits)
 
 
 def _shared_groups(study: Study) -> Dataset:

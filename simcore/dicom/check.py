@@ -23,9 +23,12 @@ from pydicom.sr._concepts_dict import concepts
 
 from simcore.core.errors import ExportError
 
+# The DX rule (null) applied to mammography, where PS3.3 C.8.11.7.1.4 permits the value.
+_TOMO_PROJ = r"</ImageType\(0008,0008\)\[3\]> - Unrecognized enumerated value = <TOMO_PROJ>"
+
 ALLOWED_ERRORS: dict[str, tuple[str, ...]] = {
-    # The DX rule (null) applied to mammography, where PS3.3 C.8.11.7.1.4 permits the value.
-    "MammographyImageForProcessing": (r"</ImageType\(0008,0008\)\[3\]> - Unrecognized enumerated value = <TOMO_PROJ>",),
+    "MammographyImageForProcessing": (_TOMO_PROJ,),
+    "MammographyImageForPresentation": (_TOMO_PROJ,),
 }
 """Errors of dciodvfy that are none, by the name of the object."""
 
@@ -46,6 +49,12 @@ ALLOWED_WARNINGS = (
     r"Attribute is not present in standard DICOM IOD",
 )
 """Warnings of dciodvfy that are meant."""
+
+ALLOWED_IN_STUDY = (
+    # dcentvfy files the Accession Number under the series of every image, and of a report under the study.
+    r"Element=<AccessionNumber> IE <Study> versus <Series> for file <.*report\.dcm>",
+)
+"""Lines of dcentvfy that say nothing of the files."""
 
 
 @dataclass(frozen=True)
@@ -95,8 +104,9 @@ def check_object(file: Path) -> Verdict:
 
 
 def check_study(files: Sequence[Path]) -> Verdict:
-    """dcentvfy: attributes of patient, study, series and equipment agree between files."""
-    return Verdict(None, "study", tuple(line for line in _run("dcentvfy", *map(str, files)) if line.strip()))
+    """dcentvfy: attributes of patient, study, series and equipment agree; what is referred to is there."""
+    lines = [line for line in _run("dcentvfy", *map(str, files)) if line.strip()]
+    return Verdict(None, "study", _not_on(ALLOWED_IN_STUDY, lines))
 
 
 def _not_on(allowed: tuple[str, ...], lines: list[str]) -> tuple[str, ...]:
@@ -127,6 +137,10 @@ def _run(name: str, *arguments: str) -> list[str]:
     return result.stdout.splitlines()
 
 
+_GRAMMARS = ("UCUM", "RFC5646")
+"""Units and languages: built by rules, listed nowhere."""
+
+
 @cache
 def _meanings() -> dict[tuple[str, str], frozenset[str]]:
     """Meanings by (scheme, code value), lower case, from pydicom's dictionary."""
@@ -150,7 +164,7 @@ def _codes(dataset: Dataset) -> Iterator[tuple[str, Dataset]]:
 
 
 def wrong_codes(file: Path) -> tuple[str, ...]:
-    """Coded concepts whose value is unknown or whose meaning differs; private schemes and UCUM (a grammar) pass."""
+    """Coded concepts whose value is unknown or whose meaning differs; private schemes and grammars pass."""
     try:
         dataset = pydicom.dcmread(file, stop_before_pixels=True)
     except InvalidDicomError as error:
@@ -158,7 +172,7 @@ def wrong_codes(file: Path) -> tuple[str, ...]:
     problems = []
     for keyword, entry in _codes(dataset):
         scheme, value, meaning = entry.CodingSchemeDesignator, entry.CodeValue, entry.CodeMeaning
-        if scheme.startswith("99") or scheme == "UCUM":
+        if scheme.startswith("99") or scheme in _GRAMMARS:
             continue
         known = _meanings().get((scheme, value), frozenset())
         if meaning.lower() not in known:

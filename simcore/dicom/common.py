@@ -2,22 +2,21 @@
 
 from __future__ import annotations
 
-import io
 import json
 from collections.abc import Iterable
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from pydicom.dataset import Dataset, FileMetaDataset
 from pydicom.filewriter import dcmwrite
 from pydicom.sequence import Sequence
 from pydicom.uid import ExplicitVRLittleEndian
 from pydicom.valuerep import format_number_as_ds
 
-from simcore.core.errors import ExportError
 from simcore.dicom.identity import IMPLEMENTATION_UID, CaseDescription, Identifiers
+from simcore.dicom.pixels import TRANSFER_SYNTAXES, Frames, write_encoded, write_plain
 from simcore.dicom.spec import ExportSpec
 
 PRIVATE_GROUP = 0x0099
@@ -78,6 +77,13 @@ def view_code(spec: ExportSpec) -> Sequence:
 
 def breast_code() -> Sequence:
     return items(code("76752008", "SCT", "Breast"))
+
+
+def erect() -> Dataset:
+    """Patient Orientation Code Sequence of a patient who stands: to be merged into an object."""
+    orientation = code("C86043", "NCIt", "erect")
+    orientation.PatientOrientationModifierCodeSequence = items(code("10904000", "SCT", "standing"))
+    return item(PatientOrientationCodeSequence=items(orientation))
 
 
 def base_dataset(
@@ -146,58 +152,52 @@ def window(low: float, high: float) -> dict[str, str]:
     return {"WindowCenter": decimal((low + high) / 2), "WindowWidth": decimal(width)}
 
 
-class ArrayStream(io.BufferedIOBase):
-    """A C-contiguous array as a readable binary stream: pixel data is written without a copy of it in memory."""
+@dataclass(frozen=True)
+class Instance:
+    """A DICOM object ready to be written.
 
-    def __init__(self, array: NDArray[Any]) -> None:
-        if array.dtype.kind != "u" or array.dtype.str.startswith(">"):
-            raise ExportError(f"pixel data of type {array.dtype}: unsigned little-endian integers are allowed")
-        self._bytes = memoryview(np.ascontiguousarray(array).reshape(-1)).cast("B")  # type: ignore[arg-type]
-        self._position = 0
+    dataset: its attributes. frames: its pixels, written after them in the encoding of the export, or plain where they
+    are floats; None where the dataset is complete. transfer_syntax: of a complete dataset.
+    """
 
-    def readable(self) -> bool:
-        return True
-
-    def seekable(self) -> bool:
-        return True
-
-    def tell(self) -> int:
-        return self._position
-
-    def seek(self, offset: int, whence: int = io.SEEK_SET) -> int:
-        start = {io.SEEK_SET: 0, io.SEEK_CUR: self._position, io.SEEK_END: len(self._bytes)}[whence]
-        self._position = max(start + offset, 0)
-        return self._position
-
-    def read(self, size: int | None = -1, /) -> bytes:
-        stop = len(self._bytes) if size is None or size < 0 else self._position + size
-        chunk = bytes(self._bytes[self._position : stop])
-        self._position += len(chunk)
-        return chunk
+    dataset: Dataset
+    frames: Frames | None = None
+    transfer_syntax: str = ExplicitVRLittleEndian
 
 
-def set_pixels(dataset: Dataset, array: NDArray[np.uint16], bits: int) -> None:
-    """The image pixel module of uint16 frames (..., rows, columns), uncompressed and streamed on writing."""
+def set_pixels(dataset: Dataset, frames: Frames, bits: int) -> Instance:
+    """The image pixel module of uint16 frames (count, rows, columns) of which ``bits`` are stored."""
     dataset.SamplesPerPixel = 1
-    dataset.Rows, dataset.Columns = array.shape[-2:]
+    dataset.Rows, dataset.Columns = frames[0].shape
     dataset.BitsAllocated = 16
     dataset.BitsStored = bits
     dataset.HighBit = bits - 1
     dataset.PixelRepresentation = 0
-    dataset.add_new(0x7FE00010, "OW", ArrayStream(array))
+    return Instance(dataset, frames)
 
 
-def write(path: Path, dataset: Dataset, case: CaseDescription, transfer_syntax: str = ExplicitVRLittleEndian) -> None:
-    """Write a complete DICOM file; nothing in it depends on the clock or the machine."""
+def write(path: Path, instance: Instance, case: CaseDescription, encoding: str) -> None:
+    """Write a complete DICOM file; nothing in it depends on the clock or the machine.
+
+    encoding: of the frames; see ``ExportSpec.encoding``.
+    """
+    dataset, frames = instance.dataset, instance.frames
+    floats = "BitsStored" not in dataset
+    plain = floats or encoding == "none"
     meta = FileMetaDataset()
     meta.MediaStorageSOPClassUID = dataset.SOPClassUID
     meta.MediaStorageSOPInstanceUID = dataset.SOPInstanceUID
-    meta.TransferSyntaxUID = transfer_syntax
+    meta.TransferSyntaxUID = instance.transfer_syntax if frames is None or plain else TRANSFER_SYNTAXES[encoding]
     meta.ImplementationClassUID = IMPLEMENTATION_UID
     meta.ImplementationVersionName = f"TOMOSIM_{case.software_version}"[:16]
     dataset.file_meta = meta
     with open(path, "wb", buffering=1 << 20) as file:
         dcmwrite(file, dataset, enforce_file_format=True)
+        # The pixel data is the last element, so it can be streamed behind the others.
+        if frames is not None and plain:
+            write_plain(file, (0x7FE0, 0x0008) if floats else (0x7FE0, 0x0010), "OF" if floats else "OW", frames)
+        elif frames is not None:
+            write_encoded(file, encoding, frames, dataset.BitsStored)
 
 
 def functional_groups(**macros: Dataset | Iterable[Dataset]) -> Dataset:

@@ -91,6 +91,30 @@ class Frames:
         first = [float(grid.centres("x")[0]), float(grid.centres("y")[0]), float(grid.centres("z")[k])]
         return [decimal(c) for c in self.patient_point(first)]
 
+    # Images turned as mammograms are hung (simcore.dicom.display.hung): a left breast has the order of its rows
+    # reversed, a right one that of its columns.
+
+    def hung_orientation(self, laterality: str) -> list[str]:
+        """``patient_orientation`` of a turned image."""
+        return [_letters(self.patient_direction(d)) for d in _hung_directions(laterality)]
+
+    def hung_image_orientation(self, laterality: str) -> list[str]:
+        """``image_orientation`` of a turned image."""
+        rows, columns = _hung_directions(laterality)
+        return [decimal(c) for c in (*self.patient_direction(rows), *self.patient_direction(columns))]
+
+    def hung_image_position(self, grid: Grid, laterality: str) -> list[str]:
+        """Image Position (Patient) of a turned image half way up ``grid``."""
+        x, y = grid.centres("x"), grid.centres("y")
+        z = (grid.corner[2] + grid.upper[2]) / 2
+        first = (float(x[0]), float(y[-1]), z) if laterality == "L" else (float(x[-1]), float(y[0]), z)
+        return [decimal(c) for c in self.patient_point(first)]
+
+
+def _hung_directions(laterality: str) -> tuple[tuple[float, float, float], tuple[float, float, float]]:
+    """Direction of the rows and of the columns of a turned image in the detector frame."""
+    return ((1.0, 0.0, 0.0), (0.0, -1.0, 0.0)) if laterality == "L" else ((-1.0, 0.0, 0.0), (0.0, 1.0, 0.0))
+
 
 def _letters(direction: Vector) -> str:
     """The anatomical letters of a direction (left, posterior, head), the dominant one first."""

@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-FORMAT = 1
+FORMAT = 2
 """Revision of what is written: raised whenever attributes change, so that old and new files differ in identity."""
 
 _NAMESPACE = uuid.uuid5(uuid.NAMESPACE_DNS, "tomosim")
@@ -36,6 +36,7 @@ class CaseDescription:
     detector_bits:    bits stored of a projection pixel, 10 to 16.
     reconstruction_kind: DICOM term of the reconstruction algorithm: FILTER_BACK_PROJ, ITERATIVE, ...
     reconstruction:   the reconstruction in words.
+    attenuation_per_mm: true attenuation coefficient of every label at that energy, 1/mm; empty where not told.
     """
 
     identity: str
@@ -45,6 +46,7 @@ class CaseDescription:
     detector_bits: int = 16
     reconstruction_kind: str = "FILTER_BACK_PROJ"
     reconstruction: str = "filtered back-projection"
+    attenuation_per_mm: tuple[float, ...] = ()
 
     @property
     def short(self) -> str:

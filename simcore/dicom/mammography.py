@@ -10,7 +10,7 @@ from __future__ import annotations
 from pydicom.dataset import Dataset
 from pydicom.uid import DigitalMammographyXRayImageStorageForProcessing
 
-from simcore.dicom.common import breast_code, date_time, decimal, items, set_pixels
+from simcore.dicom.common import Instance, breast_code, date_time, decimal, items, set_pixels
 from simcore.dicom.geometry import isocenter_item, source_distance
 from simcore.dicom.study import (
     MAMMOGRAPHY,
@@ -24,10 +24,39 @@ from simcore.dicom.study import (
 )
 
 
-def mammography_image(study: Study, view: int) -> Dataset:
+def mammography_image(study: Study, view: int) -> Instance:
     """The image of one view (0-based); Instance Number is view + 1."""
     dataset = study.dataset(MAMMOGRAPHY, DigitalMammographyXRayImageStorageForProcessing, "MG", view + 1)
-    _describe_image(dataset, study)
+    describe_view(dataset, study, view)
+    _describe_geometry(dataset, study, view)
+    dataset.PresentationIntentType = "FOR PROCESSING"
+    dataset.ImageType = ["ORIGINAL", "PRIMARY", "TOMO_PROJ"]
+    dataset.PatientOrientation = study.frames.patient_orientation()
+    dataset.PixelIntensityRelationship = "LIN"
+    dataset.PixelIntensityRelationshipSign = 1
+    dataset.PhotometricInterpretation = "MONOCHROME1"
+    dataset.PresentationLUTShape = "INVERSE"
+    study.add_private(dataset, "projection", view=view)
+    return set_pixels(dataset, study.stack.data[view : view + 1], study.case.detector_bits)
+
+
+def describe_view(dataset: Dataset, study: Study, view: int) -> None:
+    """What the image of a view says whatever was made of its pixels."""
+    set_breast_image(dataset, study)
+    dataset.AcquisitionDate = study.spec.date
+    dataset.AcquisitionTime = study.spec.time
+    dataset.AcquisitionDateTime = date_time(study.spec)
+    dataset.AcquisitionNumber = 1
+    dataset.ImagesInAcquisition = study.stack.geometry.views
+    dataset.ImageLaterality = study.spec.laterality
+    dataset.ViewPosition = study.spec.view
+    dataset.BodyPartExamined = "BREAST"
+    dataset.OrganExposed = "BREAST"
+    dataset.AnatomicRegionSequence = breast_code()
+    dataset.RescaleIntercept = "0"
+    dataset.RescaleSlope = "1"
+    dataset.RescaleType = "US"
+    dataset.PixelPaddingValue = 0
     _describe_position(dataset, study, view)
     set_detector(dataset, study)
     _describe_field(dataset, study)
@@ -37,34 +66,6 @@ def mammography_image(study: Study, view: int) -> Dataset:
     dataset.FilterType = "NONE"
     dataset.Grid = "NONE"
     dataset.IrradiationEventUID = study.ids.irradiation_event
-    study.add_private(dataset, "projection", view=view)
-    set_pixels(dataset, study.stack.data[view], study.case.detector_bits)
-    return dataset
-
-
-def _describe_image(dataset: Dataset, study: Study) -> None:
-    set_breast_image(dataset, study)
-    dataset.PresentationIntentType = "FOR PROCESSING"
-    dataset.ImageType = ["ORIGINAL", "PRIMARY", "TOMO_PROJ"]
-    dataset.AcquisitionDate = study.spec.date
-    dataset.AcquisitionTime = study.spec.time
-    dataset.AcquisitionDateTime = date_time(study.spec)
-    dataset.AcquisitionNumber = 1
-    dataset.ImagesInAcquisition = study.stack.geometry.views
-    dataset.ImageLaterality = study.spec.laterality
-    dataset.PatientOrientation = study.frames.patient_orientation()
-    dataset.ViewPosition = study.spec.view
-    dataset.BodyPartExamined = "BREAST"
-    dataset.OrganExposed = "BREAST"
-    dataset.AnatomicRegionSequence = breast_code()
-    dataset.PixelIntensityRelationship = "LIN"
-    dataset.PixelIntensityRelationshipSign = 1
-    dataset.RescaleIntercept = "0"
-    dataset.RescaleSlope = "1"
-    dataset.RescaleType = "US"
-    dataset.PhotometricInterpretation = "MONOCHROME1"
-    dataset.PresentationLUTShape = "INVERSE"
-    dataset.PixelPaddingValue = 0
 
 
 def _describe_position(dataset: Dataset, study: Study, view: int) -> None:
@@ -73,12 +74,17 @@ def _describe_position(dataset: Dataset, study: Study, view: int) -> None:
     dataset.PositionerPrimaryAngle = decimal(beam.primary)
     dataset.PositionerPrimaryAngleDirection = "CC"
     dataset.PositionerSecondaryAngle = decimal(beam.secondary)
-    dataset.DetectorPrimaryAngle = decimal(beam.row)
-    dataset.DetectorSecondaryAngle = decimal(beam.column)
     dataset.DistanceSourceToDetector = decimal(beam.length)
     dataset.DistanceSourceToPatient = decimal(beam.support)
     dataset.DistanceSourceToEntrance = decimal(beam.entrance)
     dataset.EstimatedRadiographicMagnificationFactor = decimal(beam.magnification)
+
+
+def _describe_geometry(dataset: Dataset, study: Study, view: int) -> None:
+    """Where the pixels lie against the beam; holds for pixels in the order of the detector."""
+    beam = study.beam(view)
+    dataset.DetectorPrimaryAngle = decimal(beam.row)
+    dataset.DetectorSecondaryAngle = decimal(beam.column)
     dataset.DistanceSourceToIsocenter = source_distance(study.frames, view)
     dataset.IsocenterReferenceSystemSequence = items(isocenter_item(study.frames, view))
 

@@ -5,7 +5,6 @@ One pass, slice by slice: sampling, run lengths and the tissues met; the sampled
 
 from __future__ import annotations
 
-import struct
 from collections.abc import Iterator
 from dataclasses import dataclass
 
@@ -15,9 +14,7 @@ from numpy.typing import NDArray
 
 from simcore.core.artifacts import Phantom
 from simcore.core.grid import Grid
-
-_HEADER = struct.pack("<16L", 1, 64, *[0] * 14)
-"""Header of an RLE frame of 8-bit pixels: one segment, which starts right after the header (PS3.5 annex G)."""
+from simcore.dicom.run_length import header, pack_row, packed_length
 
 
 @dataclass(frozen=True)
@@ -43,41 +40,15 @@ def nearest(source: Grid, target: Grid) -> Lookup:
     return Lookup(*found)
 
 
-def sample(phantom: Phantom, lookup: Lookup, step: tuple[int, int, int] = (1, 1, 1)) -> NDArray[np.uint8]:
-    """Labels at every ``step``-th (z, y, x) target voxel; air (0) outside the phantom."""
-    z, y, x = lookup.z[:: step[0]], lookup.y[:: step[1]], lookup.x[:: step[2]]
+def sample(
+    phantom: Phantom, lookup: Lookup, step: tuple[int, int, int] = (1, 1, 1), slices: slice | None = None
+) -> NDArray[np.uint8]:
+    """Labels at every ``step``-th (z, y, x) target voxel of some slices (all of them); air (0) outside the phantom."""
+    wanted = lookup.z if slices is None else lookup.z[slices]
+    z, y, x = wanted[:: step[0]], lookup.y[:: step[1]], lookup.x[:: step[2]]
     labels = phantom.labels[np.ix_(z, y, x)]
     inside = (z >= 0)[:, None, None] & (y >= 0)[:, None] & (x >= 0)
     return np.where(inside, labels, 0).astype(np.uint8)
-
-
-@njit(cache=True)
-def _pack_row(row: NDArray[np.uint8], packed: NDArray[np.uint8]) -> int:
-    """PackBits of one row; returns the number of bytes. Runs of three and more are replicated, the rest literal."""
-    n = row.size
-    i = 0
-    size = 0
-    while i < n:
-        run = 1
-        while i + run < n and run < 128 and row[i + run] == row[i]:
-            run += 1
-        if run >= 3 or (run == 2 and i + run == n):
-            packed[size] = 257 - run
-            packed[size + 1] = row[i]
-            size += 2
-            i += run
-            continue
-        start = i
-        while i < n and i - start < 128:
-            if i + 2 < n and row[i] == row[i + 1] and row[i] == row[i + 2]:
-                break
-            i += 1
-        packed[size] = i - start - 1
-        size += 1
-        for k in range(start, i):
-            packed[size] = row[k]
-            size += 1
-    return size
 
 
 @njit(cache=True, parallel=True)
@@ -99,7 +70,7 @@ def _encode_plane(
                     row[i] = labels[y[j], x[i]]
                 bits |= np.uint32(1) << np.uint32(row[i])
         met[j] |= bits
-        sizes[j] = _pack_row(row, packed[j])
+        sizes[j] = pack_row(row, packed[j])
 
 
 @njit(cache=True)
@@ -131,11 +102,11 @@ def encode_labels(phantom: Phantom, lookup: Lookup) -> EncodedLabels:
 
 def _frames(phantom: Phantom, lookup: Lookup, met: NDArray[np.uint32]) -> Iterator[bytes]:
     rows, columns = lookup.y.size, lookup.x.size
-    packed = np.empty((rows, columns + columns // 128 + 2), np.uint8)
+    packed = np.empty((rows, packed_length(columns)), np.uint8)
     sizes = np.empty(rows, np.int64)
     outside = np.full(rows, -1, np.int64)
     for k in lookup.z:
         _encode_plane(phantom.labels[max(k, 0)], lookup.y if k >= 0 else outside, lookup.x, packed, sizes, met)
         joined = np.empty(int(sizes.sum()), np.uint8)
         _join_rows(packed, sizes, joined)
-        yield _HEADER + joined.tobytes() + b"\0" * (joined.size % 2)
+        yield header([joined.tobytes()]) + joined.tobytes() + b"\0" * (joined.size % 2)

@@ -5,19 +5,16 @@ from __future__ import annotations
 from pydicom.dataset import Dataset
 from pydicom.encaps import encapsulate
 from pydicom.sequence import Sequence
-from pydicom.uid import BreastTomosynthesisImageStorage, RLELossless
+from pydicom.uid import RLELossless
 
-from simcore.core.artifacts import Phantom
 from simcore.core.errors import ExportError
 from simcore.core.grid import Grid
 from simcore.core.tissues import Tissue
-from simcore.dicom.common import breast_code, code, dimensions, functional_groups, item, items
+from simcore.dicom.common import Instance, breast_code, code, dimensions, functional_groups, item, items
 from simcore.dicom.resampling import EncodedLabels
-from simcore.dicom.study import LABELS, TOMOSYNTHESIS, Study
-from simcore.dicom.tomosynthesis import plane_groups
+from simcore.dicom.study import LABELS, Study, plane_groups, source_volume, volume_series
 
 SOP_CLASS = "1.2.840.10008.5.1.4.1.1.66.7"
-TRANSFER_SYNTAX = RLELossless
 
 _Code = tuple[str, str, str]
 _TISSUE: _Code = ("85756007", "SCT", "Tissue")
@@ -45,36 +42,23 @@ _SEGMENTS: dict[Tissue, tuple[str, _Code, _Code]] = {
 _ALGORITHM = "tomosim ground truth"
 
 
-def label_map(study: Study, phantom: Phantom, encoded: EncodedLabels, grid: Grid) -> Dataset:
+def label_map(study: Study, encoded: EncodedLabels) -> Instance:
     """Pixel value = segment number = core.tissues.Tissue; one frame a slice of the volume.
 
     raises: ExportError where the phantom holds a label that is no tissue.
     """
     dataset = study.dataset(LABELS, SOP_CLASS, "SEG")
+    grid = study.volume.grid
     slices, rows, columns = grid.shape
-    dataset.ImageType = ["DERIVED", "PRIMARY"]
-    dataset.ContentLabel = "GROUND_TRUTH"
-    dataset.ContentDescription = "tissues of the compressed phantom"
-    dataset.ContentCreatorName = "TOMOSIM^"
-    dataset.ContentQualification = "RESEARCH"
-    dataset.QualityControlImage = "YES"
-    dataset.BurnedInAnnotation = "NO"
-    dataset.LossyImageCompression = "00"
-    dataset.PatientOrientation = study.frames.patient_orientation()
+    describe(dataset, study, "GROUND_TRUTH", "tissues of the compressed phantom")
     dataset.SegmentationType = "LABELMAP"
-    dataset.SegmentSequence = Sequence([_segment(study, value) for value in (0, *encoded.tissues)])
-    dataset.ReferencedSeriesSequence = items(
-        item(
-            SeriesInstanceUID=study.ids.series(TOMOSYNTHESIS),
-            ReferencedInstanceSequence=items(_volume_reference(study)),
-        )
-    )
+    dataset.SegmentSequence = Sequence([_tissue_segment(study, value) for value in (0, *encoded.tissues)])
     dataset.NumberOfFrames = slices
     dataset.DimensionOrganizationType = "3D"
     dimensions(dataset, study.ids.uid("dimensions", LABELS), (0x00200032, 0x00209113, "Image Position (Patient)"))
     dataset.SharedFunctionalGroupsSequence = items(functional_groups(**plane_groups(study, grid)))
     dataset.PerFrameFunctionalGroupsSequence = Sequence([_frame_groups(study, grid, k) for k in range(slices)])
-    study.add_private(dataset, "labels", grid=grid.to_dict(), truth=list(phantom.truth))
+    study.add_private(dataset, "labels", grid=grid.to_dict(), truth=list(study.phantom.truth))
 
     dataset.SamplesPerPixel = 1
     dataset.PhotometricInterpretation = "MONOCHROME2"
@@ -85,48 +69,66 @@ def label_map(study: Study, phantom: Phantom, encoded: EncodedLabels, grid: Grid
     dataset.PixelPaddingValue = 0
     dataset.add_new(0x7FE00010, "OB", encapsulate(list(encoded.frames)))
     dataset["PixelData"].is_undefined_length = True
-    return dataset
+    return Instance(dataset, transfer_syntax=RLELossless)
 
 
-def _segment(study: Study, value: int) -> Dataset:
-    try:
-        label, category, kind = _SEGMENTS[Tissue(value)]
-    except ValueError:
-        allowed = ", ".join(f"{t.value} {t.name.lower()}" for t in Tissue)
-        raise ExportError(f"the phantom holds the label {value}, which is no tissue; allowed: {allowed}") from None
-    segment = item(
-        SegmentNumber=value,
+def describe(dataset: Dataset, study: Study, label: str, description: str) -> None:
+    """What all derived objects in the frame of the volume say of their content."""
+    dataset.ImageType = ["DERIVED", "PRIMARY"]
+    dataset.ContentLabel = label
+    dataset.ContentDescription = description
+    dataset.ContentCreatorName = "TOMOSIM^"
+    dataset.ContentQualification = "RESEARCH"
+    dataset.QualityControlImage = "YES"
+    dataset.BurnedInAnnotation = "NO"
+    dataset.LossyImageCompression = "00"
+    dataset.PatientOrientation = study.frames.patient_orientation()
+    dataset.ReferencedSeriesSequence = items(volume_series(study))
+
+
+def segment(study: Study, number: int, tissue: Tissue, label: str) -> Dataset:
+    """One item of the Segment Sequence."""
+    _, category, kind = _SEGMENTS[tissue]
+    described = item(
+        SegmentNumber=number,
         SegmentLabel=label,
         SegmentAlgorithmType="AUTOMATIC",
         SegmentAlgorithmName=_ALGORITHM,
         SegmentedPropertyCategoryCodeSequence=items(code(*category)),
         SegmentedPropertyTypeCodeSequence=items(code(*kind)),
     )
-    if value:
-        segment.AnatomicRegionSequence = breast_code()
-        segment.TrackingID = f"{study.case.short}/{label}"
-        segment.TrackingUID = study.ids.uid("tracking", value)
-    return segment
+    if tissue != Tissue.AIR:
+        described.AnatomicRegionSequence = breast_code()
+        described.TrackingID = f"{study.case.short}/{label}"
+        described.TrackingUID = study.ids.uid("tracking", label)
+    return described
 
 
-def _volume_reference(study: Study) -> Dataset:
+def property_type(tissue: Tissue) -> tuple[str, str, str]:
+    """The code (value, scheme, meaning) of a tissue."""
+    return _SEGMENTS[tissue][2]
+
+
+def derivation(study: Study, frame: int) -> Dataset:
+    """Derivation Image item: segmented from a frame (from 1) of the volume."""
     return item(
-        ReferencedSOPClassUID=BreastTomosynthesisImageStorage,
-        ReferencedSOPInstanceUID=study.ids.instance(TOMOSYNTHESIS),
+        DerivationCodeSequence=items(code("113076", "DCM", "Segmentation")),
+        SourceImageSequence=items(source_volume(study, frame)),
     )
+
+
+def _tissue_segment(study: Study, value: int) -> Dataset:
+    try:
+        tissue = Tissue(value)
+    except ValueError:
+        allowed = ", ".join(f"{t.value} {t.name.lower()}" for t in Tissue)
+        raise ExportError(f"the phantom holds the label {value}, which is no tissue; allowed: {allowed}") from None
+    return segment(study, value, tissue, _SEGMENTS[tissue][0])
 
 
 def _frame_groups(study: Study, grid: Grid, k: int) -> Dataset:
-    source = _volume_reference(study)
-    source.ReferencedFrameNumber = k + 1
-    source.SpatialLocationsPreserved = "YES"
-    source.PurposeOfReferenceCodeSequence = items(code("121322", "DCM", "Source image for image processing operation"))
-    derivation = item(
-        DerivationCodeSequence=items(code("113076", "DCM", "Segmentation")),
-        SourceImageSequence=items(source),
-    )
     return functional_groups(
         FrameContent=item(DimensionIndexValues=[k + 1]),
         PlanePosition=item(ImagePositionPatient=study.frames.image_position(grid, k)),
-        DerivationImage=derivation,
+        DerivationImage=derivation(study, k + 1),
     )

@@ -1,16 +1,19 @@
-"""What to ask of the export: identity and description, nothing that changes an image."""
+"""What to ask of the export: identity, description, encoding and further objects; nothing that changes an image."""
 
 from __future__ import annotations
 
-from typing import Literal
+from typing import Literal, Self
 
-from pydantic import Field
+from pydantic import Field, model_validator
 
 from simcore.core.spec_base import Spec, quantity
 
+ExtraObject = Literal["presentation", "synthetic-2d", "ct", "attenuation", "report"]
+"""Objects that are written on request; simcore.dicom.extras has what writes each."""
+
 
 class ExportSpec(Spec):
-    """Identity of the synthetic patient and the study. All of it is plainly invented."""
+    """Identity of the synthetic patient and the study, all of it plainly invented, and what the study holds."""
 
     patient_id: str = Field(
         "",
@@ -32,3 +35,20 @@ class ExportSpec(Spec):
     study_description: str = Field(
         "SYNTHETIC digital breast tomosynthesis", max_length=64, description="study description"
     )
+    encoding: Literal["none", "jpeg-ls", "rle"] = Field(
+        "none",
+        description="how the pixels of images are stored, always without loss: none (explicit VR little endian), "
+        "jpeg-ls (about half the size) or rle (every reader knows it)",
+    )
+    extra_objects: list[ExtraObject] = Field(
+        [],
+        description="objects beside projections, volume, labels and lesions: presentation (every view processed for "
+        "reading), synthetic-2d (one image of the volume), ct (slices as CT images, in HU), attenuation (the true "
+        "coefficients, 1/mm, 4 bytes a voxel), report (structured report of the lesions)",
+    )
+
+    @model_validator(mode="after")
+    def _each_once(self) -> Self:
+        if len(set(self.extra_objects)) < len(self.extra_objects):
+            raise ValueError(f"extra_objects = {self.extra_objects}: each may stand once")
+        return self

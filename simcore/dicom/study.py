@@ -8,25 +8,57 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 from pydicom.dataset import Dataset
+from pydicom.uid import BreastTomosynthesisImageStorage
 
-from simcore.core.artifacts import ProjectionStack
-from simcore.dicom.common import NOT_MODELLED, base_dataset, breast_code, decimal, private_json, view_code
+from simcore.core.artifacts import Phantom, ProjectionStack, Volume
+from simcore.core.grid import Grid
+from simcore.dicom.common import (
+    NOT_MODELLED,
+    base_dataset,
+    breast_code,
+    code,
+    decimal,
+    item,
+    items,
+    private_json,
+    view_code,
+)
 from simcore.dicom.geometry import Beam, Frames, beam, gantry_angle
 from simcore.dicom.identity import CaseDescription, Identifiers
+from simcore.dicom.lesions import Lesion
+from simcore.dicom.resampling import Lookup
 from simcore.dicom.spec import ExportSpec
 
 MAMMOGRAPHY = "projections, one file a view"
 BREAST_PROJECTION = "projections, multi-frame"
 TOMOSYNTHESIS = "reconstruction"
 LABELS = "tissue labels"
+LESIONS = "lesions"
+PRESENTATION = "views for presentation"
+SYNTHETIC_2D = "synthetic 2D"
+CT = "reconstruction, CT slices"
+ATTENUATION = "true attenuation"
+REPORT = "lesion report"
 
-SERIES_NUMBERS = {MAMMOGRAPHY: 1, BREAST_PROJECTION: 2, TOMOSYNTHESIS: 3, LABELS: 4}
+SERIES_NUMBERS = {
+    MAMMOGRAPHY: 1,
+    BREAST_PROJECTION: 2,
+    TOMOSYNTHESIS: 3,
+    LABELS: 4,
+    LESIONS: 5,
+    PRESENTATION: 6,
+    SYNTHETIC_2D: 7,
+    CT: 8,
+    ATTENUATION: 9,
+    REPORT: 10,
+}
 
 
 @dataclass(frozen=True)
 class Study:
     """What every object of one export needs to know.
 
+    phantom: compressed, support frame; lookup: its voxels at those of the volume; lesions: what is known of them.
     thickness: distance of the plates, mm; force: N, 0 where it is not known.
     projection_window, volume_window: stored values (low, high) that show the breast.
     """
@@ -35,6 +67,10 @@ class Study:
     case: CaseDescription
     ids: Identifiers
     stack: ProjectionStack
+    volume: Volume
+    phantom: Phantom
+    lookup: Lookup
+    lesions: tuple[Lesion, ...]
     thickness: float
     force: float
     projection_window: tuple[float, float]
@@ -146,6 +182,37 @@ def frame_anatomy(study: Study) -> Dataset:
     anatomy.AnatomicRegionSequence = breast_code()
     anatomy.FrameLaterality = study.spec.laterality
     return anatomy
+
+
+def source_volume(study: Study, frame: int | None = None) -> Dataset:
+    """Reference to the volume that an object was made from: to a frame (from 1) that lies voxel on voxel, or to all."""
+    source = item(
+        ReferencedSOPClassUID=BreastTomosynthesisImageStorage,
+        ReferencedSOPInstanceUID=study.ids.instance(TOMOSYNTHESIS),
+        PurposeOfReferenceCodeSequence=items(code("121322", "DCM", "Source image for image processing operation")),
+    )
+    if frame is not None:
+        source.ReferencedFrameNumber = frame
+        source.SpatialLocationsPreserved = "YES"
+    return source
+
+
+def volume_series(study: Study) -> Dataset:
+    """Reference to the series of the volume, with its one instance."""
+    volume = item(
+        ReferencedSOPClassUID=BreastTomosynthesisImageStorage,
+        ReferencedSOPInstanceUID=study.ids.instance(TOMOSYNTHESIS),
+    )
+    return item(SeriesInstanceUID=study.ids.series(TOMOSYNTHESIS), ReferencedInstanceSequence=items(volume))
+
+
+def plane_groups(study: Study, grid: Grid) -> dict[str, Dataset]:
+    """Pixel measures and orientation of every slice of ``grid``."""
+    sx, sy, sz = (decimal(spacing) for spacing in grid.spacing)
+    return {
+        "PixelMeasures": item(PixelSpacing=[sy, sx], SliceThickness=sz, SpacingBetweenSlices=sz),
+        "PlaneOrientation": item(ImageOrientationPatient=study.frames.image_orientation()),
+    }
 
 
 def breast_window(values: NDArray[np.uint16]) -> tuple[float, float]:

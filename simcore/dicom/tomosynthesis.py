@@ -13,6 +13,7 @@ from simcore.dicom.common import (
     MANUFACTURER,
     MODEL,
     NOT_MODELLED,
+    Instance,
     code,
     date_time,
     decimal,
@@ -31,6 +32,7 @@ from simcore.dicom.study import (
     Study,
     detector_size,
     frame_anatomy,
+    plane_groups,
     set_breast_image,
     set_compression,
     set_no_dose,
@@ -40,34 +42,14 @@ from simcore.dicom.study import (
 IMAGE_TYPE = ["DERIVED", "PRIMARY", "TOMOSYNTHESIS", "NONE"]
 
 
-def tomosynthesis_image(study: Study, volume: Volume) -> Dataset:
+def tomosynthesis_image(study: Study) -> Instance:
     """The volume as it is stored, with the map of its values to 1/mm."""
     dataset = study.dataset(TOMOSYNTHESIS, BreastTomosynthesisImageStorage, "MG")
+    volume = study.volume
     slices = volume.grid.shape[0]
-    set_breast_image(dataset, study)
-    dataset.ImageType = IMAGE_TYPE
-    dataset.PixelPresentation = "MONOCHROME"
-    dataset.VolumetricProperties = "VOLUME"
-    dataset.VolumeBasedCalculationTechnique = "TOMOSYNTHESIS"
-    dataset.ContentQualification = "RESEARCH"
-    dataset.RecognizableVisualFeatures = "NO"
+    describe_tomosynthesis(dataset, study, IMAGE_TYPE, "TOMOSYNTHESIS")
     dataset.PhotometricInterpretation = "MONOCHROME2"
     dataset.PresentationLUTShape = "IDENTITY"
-    dataset.ImageToEquipmentMappingMatrix = [decimal(value) for value in PATIENT_TO_GANTRY]
-    dataset.EquipmentCoordinateSystemIdentification = "ISOCENTER"
-    dataset.SourceIrradiationEventSequence = items(item(IrradiationEventUID=study.ids.irradiation_event))
-    dataset.ContributingSourcesSequence = items(_contributing_source(study))
-    dataset.XRay3DAcquisitionSequence = items(_acquisition(study))
-    dataset.XRay3DReconstructionSequence = items(
-        item(
-            ApplicationName=MODEL,
-            ApplicationVersion=study.case.software_version,
-            ApplicationManufacturer=MANUFACTURER,
-            AlgorithmType=study.case.reconstruction_kind,
-            AlgorithmDescription=study.case.reconstruction,
-            AcquisitionIndex=[1],
-        )
-    )
     dataset.NumberOfFrames = slices
     dataset.RepresentativeFrameNumber = slices // 2 + 1
     dataset.DimensionOrganizationType = "3D"
@@ -87,17 +69,33 @@ def tomosynthesis_image(study: Study, volume: Volume) -> Dataset:
         value_intercept=volume.intercept,
         value_unit="1/mm",
     )
-    set_pixels(dataset, volume.data, 16)
-    return dataset
+    return set_pixels(dataset, volume.data, 16)
 
 
-def plane_groups(study: Study, grid: Grid) -> dict[str, Dataset]:
-    """Pixel measures and orientation of every slice of ``grid``."""
-    sx, sy, sz = (decimal(spacing) for spacing in grid.spacing)
-    return {
-        "PixelMeasures": item(PixelSpacing=[sy, sx], SliceThickness=sz, SpacingBetweenSlices=sz),
-        "PlaneOrientation": item(ImageOrientationPatient=study.frames.image_orientation()),
-    }
+def describe_tomosynthesis(dataset: Dataset, study: Study, image_type: list[str], technique: str) -> None:
+    """What every image reconstructed from the projections says of its making."""
+    set_breast_image(dataset, study)
+    dataset.ImageType = image_type
+    dataset.PixelPresentation = "MONOCHROME"
+    dataset.VolumetricProperties = "VOLUME"
+    dataset.VolumeBasedCalculationTechnique = technique
+    dataset.ContentQualification = "RESEARCH"
+    dataset.RecognizableVisualFeatures = "NO"
+    dataset.ImageToEquipmentMappingMatrix = [decimal(value) for value in PATIENT_TO_GANTRY]
+    dataset.EquipmentCoordinateSystemIdentification = "ISOCENTER"
+    dataset.SourceIrradiationEventSequence = items(item(IrradiationEventUID=study.ids.irradiation_event))
+    dataset.ContributingSourcesSequence = items(_contributing_source(study))
+    dataset.XRay3DAcquisitionSequence = items(_acquisition(study))
+    dataset.XRay3DReconstructionSequence = items(
+        item(
+            ApplicationName=MODEL,
+            ApplicationVersion=study.case.software_version,
+            ApplicationManufacturer=MANUFACTURER,
+            AlgorithmType=study.case.reconstruction_kind,
+            AlgorithmDescription=study.case.reconstruction,
+            AcquisitionIndex=[1],
+        )
+    )
 
 
 def _projection_reference(study: Study) -> Dataset:

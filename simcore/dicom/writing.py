@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -13,17 +15,21 @@ from simcore.core.artifacts import Compression, Phantom, ProjectionStack, Volume
 from simcore.core.errors import ExportError
 from simcore.core.progress import Progress, part
 from simcore.dicom.breast_projection import breast_projection_image
-from simcore.dicom.common import write
+from simcore.dicom.common import Instance, write
+from simcore.dicom.extras import EXTRAS
 from simcore.dicom.identity import CaseDescription, Identifiers, array_digest, content_root
+from simcore.dicom.lesion_segmentation import lesion_segmentation
+from simcore.dicom.lesions import find_lesions
 from simcore.dicom.mammography import mammography_image
+from simcore.dicom.pixels import MAX_BYTES
 from simcore.dicom.resampling import EncodedLabels, Lookup, encode_labels, nearest, sample
-from simcore.dicom.segmentation import TRANSFER_SYNTAX as LABEL_SYNTAX
 from simcore.dicom.segmentation import label_map
 from simcore.dicom.spec import ExportSpec
 from simcore.dicom.study import Study, breast_window
 from simcore.dicom.tomosynthesis import tomosynthesis_image
+from simcore.dicom.truth_table import truth_table
 
-_MAX_ELEMENT_BYTES = 2**32 - 2
+TRUTH_TABLE = "truth.csv"
 _SAMPLES = 100
 """Voxels along each axis that the display window is taken from, at least (where there are so many)."""
 
@@ -47,6 +53,7 @@ def write_study(
         digests = pool.submit(lambda: (array_digest(stack.data), array_digest(volume.data)))
         encoded = encode_labels(compressed, lookup)
         volume_window = _volume_window(volume, compressed, lookup)
+        lesions = find_lesions(compressed, stack.geometry.support_height, volume.grid)
         projection_digest, volume_digest = digests.result()
     facts = {
         "export": spec.model_dump(),
@@ -65,12 +72,16 @@ def write_study(
         case=case,
         ids=Identifiers(content_root(case, facts)),
         stack=stack,
+        volume=volume,
+        phantom=compressed,
+        lookup=lookup,
+        lesions=lesions,
         thickness=compression.thickness,
         force=compression.force_N or 0.0,
         projection_window=_projection_window(stack),
         volume_window=volume_window,
     )
-    return _write_all(folder, study, volume, compressed, encoded, part(progress, 0.3, 1.0))
+    return _write_all(folder, study, encoded, part(progress, 0.3, 1.0))
 
 
 def _check(case: CaseDescription, stack: ProjectionStack, volume: Volume) -> None:
@@ -91,9 +102,9 @@ def _check(case: CaseDescription, stack: ProjectionStack, volume: Volume) -> Non
     if volume.data.shape != volume.grid.shape:
         raise ExportError(f"volume {volume.data.shape} and its grid {volume.grid.shape} differ")
     for name, array in (("projections", stack.data), ("volume", volume.data)):
-        if array.nbytes > _MAX_ELEMENT_BYTES:
+        if array.nbytes > MAX_BYTES:
             raise ExportError(
-                f"the {name} hold {array.nbytes} bytes; a DICOM element holds at most {_MAX_ELEMENT_BYTES}: "
+                f"the {name} hold {array.nbytes} bytes; a DICOM element holds at most {MAX_BYTES}: "
                 "take fewer slices or views, or larger pixels"
             )
 
@@ -120,22 +131,26 @@ def _projection_window(stack: ProjectionStack) -> tuple[float, float]:
     return breast_window(breast if breast.size else values)
 
 
-def _write_all(
-    folder: Path, study: Study, volume: Volume, compressed: Phantom, encoded: EncodedLabels, progress: Progress
-) -> list[str]:
-    (folder / "projections").mkdir(parents=True, exist_ok=True)
-    names = []
-    views = study.stack.geometry.views
-    for view in range(views):
-        progress(0.3 * view / views, f"projection {view + 1} of {views}")
-        names.append(f"projections/{view + 1:04d}.dcm")
-        write(folder / names[-1], mammography_image(study, view), study.case)
-    progress(0.3, "projections, multi-frame")
-    write(folder / "projections.dcm", breast_projection_image(study), study.case)
-    progress(0.5, "volume")
-    write(folder / "tomosynthesis.dcm", tomosynthesis_image(study, volume), study.case)
-    progress(0.95, "labels")
-    labels = label_map(study, compressed, encoded, volume.grid)
-    write(folder / "labels.dcm", labels, study.case, LABEL_SYNTAX)
+def _write_all(folder: Path, study: Study, encoded: EncodedLabels, progress: Progress) -> list[str]:
+    planned = list(_planned(study, encoded))
+    for number, (name, make) in enumerate(planned):
+        progress(number / len(planned), name)
+        path = folder / name
+        path.parent.mkdir(parents=True, exist_ok=True)
+        write(path, make(), study.case, study.spec.encoding)
+    (folder / TRUTH_TABLE).write_text(truth_table(study), encoding="utf-8", newline="")
     progress(1.0, "written")
-    return [*names, "projections.dcm", "tomosynthesis.dcm", "labels.dcm"]
+    return [*(name for name, _ in planned), TRUTH_TABLE]
+
+
+def _planned(study: Study, encoded: EncodedLabels) -> Iterator[tuple[str, Callable[[], Instance]]]:
+    """Name of every file, and what makes its object when its turn comes."""
+    for view in range(study.stack.geometry.views):
+        yield f"projections/{view + 1:04d}.dcm", partial(mammography_image, study, view)
+    yield "projections.dcm", partial(breast_projection_image, study)
+    yield "tomosynthesis.dcm", partial(tomosynthesis_image, study)
+    yield "labels.dcm", partial(label_map, study, encoded)
+    if any(len(lesion.voxels) for lesion in study.lesions):
+        yield "lesions.dcm", partial(lesion_segmentation, study)
+    for extra in study.spec.extra_objects:
+        yield from EXTRAS[extra](study)

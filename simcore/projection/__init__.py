@@ -10,7 +10,7 @@ from simcore.core.progress import Progress, silent
 from simcore.projection.acquisition import geometry_of
 from simcore.projection.spec import AcquisitionSpec, PhysicsSpec
 
-__all__ = ["AcquisitionSpec", "PhysicsSpec", "geometry_of", "project"]
+__all__ = ["AcquisitionSpec", "PhysicsSpec", "attenuation_per_mm", "geometry_of", "project"]
 
 
 def project(
@@ -28,3 +28,10 @@ def project(
     from simcore.projection.stage import project_views
 
     return project_views(phantom, acquisition, physics, progress)
+
+
+def attenuation_per_mm(physics: PhysicsSpec) -> tuple[float, ...]:
+    """Linear attenuation coefficient of every label (core.tissues) that ``project`` uses, 1/mm."""
+    from simcore.projection.materials import attenuation_table
+
+    return tuple(float(mu) for mu in attenuation_table(physics.attenuation))

@@ -13,14 +13,27 @@ from pydicom.dataset import Dataset
 from simcore.core.errors import ExportError
 from simcore.dicom import check
 
-from .conftest import SmallCase, make_case
+from .conftest import ALL_EXTRAS, SmallCase, make_case
 
 CASES = [
-    pytest.param({"laterality": "L", "view": "CC"}, id="LCC"),
-    pytest.param({"laterality": "R", "view": "CC", "turning": 0.2}, id="RCC-turning"),
-    pytest.param({"laterality": "L", "view": "MLO", "views": 1}, id="LMLO-one-view"),
-    pytest.param({"laterality": "R", "view": "MLO"}, id="RMLO"),
+    pytest.param({"laterality": "L", "view": "CC", "views": 3, "extras": ALL_EXTRAS, "lesions": True}, id="LCC"),
+    pytest.param({"laterality": "R", "view": "CC", "turning": 0.2, "encoding": "jpeg-ls"}, id="RCC-turning"),
+    pytest.param({"laterality": "L", "view": "MLO", "views": 1, "encoding": "rle"}, id="LMLO-one-view"),
+    pytest.param({"laterality": "R", "view": "MLO", "views": 2, "extras": ALL_EXTRAS, "encoding": "rle"}, id="RMLO"),
 ]
+BASIC = {"MammographyImageForProcessing", "BreastProjectionXRayImage", "BreastTomosynthesisImage", "Segmentation"}
+NAMES = {
+    "projections/0001.dcm": "MammographyImageForProcessing",
+    "projections.dcm": "BreastProjectionXRayImage",
+    "tomosynthesis.dcm": "BreastTomosynthesisImage",
+    "labels.dcm": "Segmentation",
+    "lesions.dcm": "Segmentation",
+    "presentation/0001.dcm": "MammographyImageForPresentation",
+    "synthetic_2d.dcm": "BreastTomosynthesisImage",
+    "ct/0001.dcm": "CTImage",
+    "attenuation.dcm": "ParametricMap",
+    "report.dcm": "Comprehensive3DSR",
+}
 
 
 @pytest.mark.parametrize("options", CASES)
@@ -29,12 +42,12 @@ def test_all_objects_and_the_study_pass(exported: Callable[[SmallCase], Path], o
     folder = exported(case)
     found = check.verdicts(sorted(folder.rglob("*.dcm")))
     assert [str(v) for v in found if not v.ok or v.warnings] == []
-    names = {v.file.name: v.object_name for v in found if v.file is not None}
-    assert names["0001.dcm"] == "MammographyImageForProcessing"
-    assert names["projections.dcm"] == "BreastProjectionXRayImage"
-    assert names["tomosynthesis.dcm"] == "BreastTomosynthesisImage"
-    assert names["labels.dcm"] == "Segmentation"
-    assert len(found) == len(case.stack.geometry.angles) + 4
+    names = {v.file.relative_to(folder).as_posix(): v.object_name for v in found if v.file is not None}
+    expected = {
+        name for name in NAMES if case.spec.extra_objects or (NAMES[name] in BASIC and name != "synthetic_2d.dcm")
+    }
+    assert {name: names[name] for name in NAMES if name in names} == {name: NAMES[name] for name in expected}
+    assert len(found) == len(list(folder.rglob("*.dcm"))) + 1
 
 
 def _spoiled(folder: Path, name: str, change: Callable[[Dataset], None]) -> Path:
@@ -80,7 +93,7 @@ def test_missing_tool_is_named(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) 
 
 def test_decimal_strings_are_short_enough(exported: Callable[[SmallCase], Path]) -> None:
     """Longer ones are written silently; three views at odd angles give values with no short decimal form."""
-    folder = exported(make_case(laterality="R", view="MLO", turning=0.21, views=3))
+    folder = exported(make_case(laterality="R", view="MLO", turning=0.21, views=3, extras=ALL_EXTRAS))
     lengths = []
 
     def measure(_: Dataset, element: DataElement) -> None:
@@ -94,13 +107,13 @@ def test_decimal_strings_are_short_enough(exported: Callable[[SmallCase], Path])
     assert len(lengths) > 250
 
 
-def test_marks_of_a_synthetic_object(exported: Callable[[SmallCase], Path], small_case: SmallCase) -> None:
-    folder = exported(small_case)
+def test_marks_of_a_synthetic_object(exported: Callable[[SmallCase], Path]) -> None:
+    folder = exported(make_case(extras=ALL_EXTRAS))
     for file in folder.rglob("*.dcm"):
         d = pydicom.dcmread(file)
         assert d.SyntheticData == "YES"
         assert d.QualityControlSubject == "YES"
-        assert d.QualityControlImage == "YES"
+        assert d.Modality == "SR" or d.QualityControlImage == "YES"
         assert d.PatientID == "SIM-0123456789ab"
         assert str(d.PatientName).startswith("SYNTHETIC^")
         assert "PatientIdentityRemoved" not in d

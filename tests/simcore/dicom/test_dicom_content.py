@@ -57,7 +57,7 @@ def folder(exported: Callable[[SmallCase], Path], small_case: SmallCase) -> Path
 def test_names_are_those_on_disk(tmp_path: Path, small_case: SmallCase) -> None:
     names = small_case.export(tmp_path / "new" / "folder")
     assert names[:5] == [f"projections/{n:04d}.dcm" for n in range(1, 6)]
-    assert names[5:] == ["projections.dcm", "tomosynthesis.dcm", "labels.dcm"]
+    assert names[5:] == ["projections.dcm", "tomosynthesis.dcm", "labels.dcm", "lesions.dcm", "truth.csv"]
     on_disk = {str(f.relative_to(tmp_path / "new/folder")) for f in (tmp_path / "new").rglob("*") if f.is_file()}
     assert on_disk == set(names)
 
@@ -205,8 +205,8 @@ def test_changed_content_has_new_identity(
 
 def test_identifiers_are_unique_and_short(folder: Path) -> None:
     datasets = [pydicom.dcmread(f, stop_before_pixels=True) for f in folder.rglob("*.dcm")]
-    assert len({d.SOPInstanceUID for d in datasets}) == 8
-    assert len({d.SeriesInstanceUID for d in datasets}) == 4
+    assert len({d.SOPInstanceUID for d in datasets}) == 9
+    assert len({d.SeriesInstanceUID for d in datasets}) == 5
     assert len({d.StudyInstanceUID for d in datasets}) == 1
     assert all(len(d.SOPInstanceUID) <= 64 and d.SOPInstanceUID.is_valid for d in datasets)
     volume = next(d for d in datasets if d.SOPClassUID == pydicom.uid.BreastTomosynthesisImageStorage)
@@ -225,7 +225,7 @@ def test_private_block_is_enough_to_reconstruct(folder: Path, small_case: SmallC
     geometry = AcquisitionGeometry.from_dict(view["geometry"])  # type: ignore[arg-type]
     np.testing.assert_array_equal(geometry.sources, small_case.stack.geometry.sources)
     assert document("projections.dcm")["energy_keV"] == 20.0
-    assert document("labels.dcm")["truth"] == [{"kind": "mass", "centre": [10.0, 0.0, 20.0]}]
+    assert document("labels.dcm")["truth"] == list(small_case.phantom.truth)
     assert document("tomosynthesis.dcm")["grid"] == small_case.volume.grid.to_dict()
 
 

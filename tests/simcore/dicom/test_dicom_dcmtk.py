@@ -31,6 +31,8 @@ def test_run_length_encoded_labels_are_decoded_to_the_same_pixels(files: dict[st
 
 def test_every_object_is_read_without_complaint(files: dict[str, Path]) -> None:
     for name, path in files.items():
+        if path.suffix != ".dcm":
+            continue
         dump = subprocess.run(["dcmdump", "-q", "+L", str(path)], capture_output=True, text=True, check=True)
         assert "PixelData" in dump.stdout, name
         assert dump.stderr == "", name

@@ -1,0 +1,96 @@
+"""One image of the volume for reading, in the form systems give their generated 2D views: Breast Tomosynthesis Image
+with a single frame."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from functools import partial
+
+import numpy as np
+from numpy.typing import NDArray
+from pydicom.uid import BreastTomosynthesisImageStorage
+
+from simcore.dicom.common import (
+    Instance,
+    code,
+    date_time,
+    decimal,
+    dimensions,
+    functional_groups,
+    item,
+    items,
+    set_pixels,
+    window,
+)
+from simcore.dicom.display import DISPLAY_BITS, display_window, hung, synthetic_view
+from simcore.dicom.presentation import set_display
+from simcore.dicom.resampling import sample
+from simcore.dicom.study import SYNTHETIC_2D, Study, frame_anatomy, source_volume
+from simcore.dicom.tomosynthesis import describe_tomosynthesis
+
+IMAGE_TYPE = ["DERIVED", "PRIMARY", "TOMOSYNTHESIS", "GENERATED_2D"]
+_TECHNIQUE = "MAX_IP"
+
+
+def files(study: Study) -> Iterator[tuple[str, Callable[[], Instance]]]:
+    yield "synthetic_2d.dcm", partial(synthetic_2d_image, study)
+
+
+def synthetic_2d_image(study: Study) -> Instance:
+    """The volume seen along z, pixel on pixel with its slices, turned as mammograms are hung."""
+    volume, laterality = study.volume, study.spec.laterality
+    image = hung(synthetic_view(volume, _breast(study)), laterality)
+    dataset = study.dataset(SYNTHETIC_2D, BreastTomosynthesisImageStorage, "MG")
+    describe_tomosynthesis(dataset, study, IMAGE_TYPE, _TECHNIQUE)
+    set_display(dataset)
+    dataset.NumberOfFrames = 1
+    dimensions(
+        dataset,
+        study.ids.uid("dimensions", SYNTHETIC_2D),
+        (0x00209056, 0x00209111, "Stack ID"),
+        (0x00209057, 0x00209111, "In-Stack Position Number"),
+    )
+    sx, sy, sz = volume.grid.spacing
+    depth = volume.grid.shape[0]
+    shared = functional_groups(
+        PixelMeasures=item(PixelSpacing=[decimal(sy), decimal(sx)], SliceThickness=decimal(depth * sz)),
+        PlaneOrientation=item(ImageOrientationPatient=study.frames.hung_image_orientation(laterality)),
+        FrameAnatomy=frame_anatomy(study),
+        PixelValueTransformation=item(RescaleIntercept="0", RescaleSlope="1", RescaleType="US"),
+        FrameVOILUT=item(**window(*display_window(image)), VOILUTFunction="LINEAR"),
+        DerivationImage=item(
+            DerivationDescription="mean of the slices and of their detail the brightest, along z",
+            DerivationCodeSequence=items(code("GENERATED2D", "99TOMOSIM", "Generated 2D view")),
+            SourceImageSequence=items(source_volume(study)),
+        ),
+    )
+    frame = functional_groups(
+        FrameContent=item(
+            StackID="1",
+            InStackPositionNumber=1,
+            DimensionIndexValues=[1, 1],
+            FrameAcquisitionDateTime=date_time(study.spec),
+            FrameReferenceDateTime=date_time(study.spec),
+            FrameAcquisitionDuration=0.0,
+        ),
+        XRay3DFrameType=item(
+            FrameType=IMAGE_TYPE,
+            PixelPresentation="MONOCHROME",
+            VolumetricProperties="VOLUME",
+            VolumeBasedCalculationTechnique=_TECHNIQUE,
+            ReconstructionIndex=1,
+        ),
+        PlanePosition=item(ImagePositionPatient=study.frames.hung_image_position(volume.grid, laterality)),
+    )
+    dataset.SharedFunctionalGroupsSequence = items(shared)
+    dataset.PerFrameFunctionalGroupsSequence = items(frame)
+    study.add_private(dataset, "synthetic-2d", grid=volume.grid.to_dict())
+    return set_pixels(dataset, image[None], DISPLAY_BITS)
+
+
+def _breast(study: Study) -> NDArray[np.bool_]:
+    """bool (rows, columns): pixels over which any slice has tissue."""
+    covered = np.zeros(study.volume.grid.shape[1:], np.bool_)
+    for k in range(study.volume.grid.shape[0]):
+        covered |= sample(study.phantom, study.lookup, slices=slice(k, k + 1))[0] != 0
+    return covered
