@@ -9,13 +9,14 @@ from typing import Any
 from fastapi import Depends, FastAPI
 from fastapi.concurrency import run_in_threadpool
 
-from api import artifacts, catalog, errors, events, health, page, phantoms, simulations
+from api import artifacts, catalog, errors, events, health, page, phantoms, simulations, webhooks
 from api.auth import authenticate
 from api.deps import Services
 from api.guard import Guard
 from api.resources import PREFIX
 from simcore import __version__
 from simcore.spec import SimulationSpec
+from worker.courier import Courier
 from worker.messages import Messenger
 from worker.reaper import Reaper
 from worker.settings import Settings
@@ -39,11 +40,14 @@ def create_app(settings: Settings | None = None, messenger: Messenger | None = N
         served = await run_in_threadpool(Services.open, chosen, messenger)
         app.state.services = served
         reaper = Reaper(chosen, served.jobs, served.fleet, served.messenger)
+        courier = Courier(chosen, served.webhooks)
         if sweep:
             reaper.start()
+            courier.start()
         yield
         if sweep:
             await run_in_threadpool(reaper.stop)
+            await run_in_threadpool(courier.stop)
         served.close()
 
     app = FastAPI(
@@ -59,7 +63,7 @@ def create_app(settings: Settings | None = None, messenger: Messenger | None = N
     )
     errors.install(app)
     app.add_middleware(Guard)
-    for module in (simulations, events, artifacts, phantoms, catalog):
+    for module in (simulations, events, artifacts, phantoms, webhooks, catalog):
         app.include_router(module.router, prefix=PREFIX, dependencies=[Depends(authenticate)])
     app.include_router(health.router)
     app.include_router(page.router)

@@ -18,6 +18,7 @@ from worker.jobs import Jobs, NotFoundError
 from worker.keys import Keys, check_address
 from worker.messages import CeleryMessenger, Messenger
 from worker.settings import Settings
+from worker.webhooks import Webhooks
 
 
 @dataclass(frozen=True)
@@ -49,6 +50,11 @@ class Services:
             messenger or CeleryMessenger(settings),
             Store(settings.store_folder),
         )
+
+    @property
+    def webhooks(self) -> Webhooks:
+        """The repository of webhooks."""
+        return Webhooks(self.jobs.engine, self.jobs.clock)
 
     def close(self) -> None:
         self.jobs.engine.dispose()

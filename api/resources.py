@@ -4,13 +4,15 @@ from __future__ import annotations
 
 import time
 from datetime import UTC, datetime
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from pydantic import BaseModel, Field
 
 from simcore.estimate import Estimate
 from worker.contract import State
-from worker.jobs import Simulation
+
+if TYPE_CHECKING:  # clients import this file; they need no database
+    from worker.jobs import Simulation
 
 PREFIX = "/v1"
 

@@ -24,6 +24,19 @@ destination; admin: everything."""
 
 SCOPES: tuple[Scope, ...] = get_args(Scope)
 
+WebhookEvent = Literal[
+    "simulation.succeeded",
+    "simulation.failed",
+    "simulation.cancelled",
+    "study.finished",
+    "delivery.finished",
+    "webhook.test",
+]
+"""What webhooks are told of."""
+
+MessageState = Literal["pending", "delivered", "failed"]
+"""Of a message to a webhook."""
+
 EVENT_STATE = "state"
 EVENT_PROGRESS = "progress"
 

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import uuid
 from dataclasses import dataclass, fields
-from typing import Any, ClassVar
+from typing import Any, ClassVar, cast
 
 import sqlalchemy as sa
 
-from worker.contract import DEFAULT_QUEUE, EVENT_PROGRESS, EVENT_STATE, Queue, State
+from worker import webhooks
+from worker.contract import DEFAULT_QUEUE, EVENT_PROGRESS, EVENT_STATE, Queue, State, WebhookEvent
 from worker.database import events, reading, simulations
 from worker.leases import Event as Event
 from worker.leases import Json, Leased, Leases
@@ -103,9 +104,27 @@ class Jobs(Leases[Simulation]):
         values = {"manifest": manifest, "results": manifest.get("results", {}), "stages_done": total}
         return self._finish(identifier, owner, self._final("succeeded", fraction=1.0, error=None, **values))
 
+    def _ended(self, connection: sa.Connection, identifier: str) -> None:
+        row = self._one(connection, identifier)
+        event = cast(WebhookEvent, f"simulation.{row.state}")
+        webhooks.announce(connection, self.clock(), event, lambda: _told(row))
+
     def _column(self, identifier: str, name: str) -> Any:
         with reading(self.engine) as connection:
             row = connection.execute(sa.select(simulations.c[name]).where(simulations.c.id == identifier)).one_or_none()
         if row is None:
             raise NotFoundError(identifier)
         return row[0]
+
+
+def _told(row: Simulation) -> Json:
+    """What a webhook is told of a simulation that ended."""
+    return {
+        "id": row.id,
+        "name": row.name,
+        "state": row.state,
+        "attempt": row.attempt,
+        "results": row.results,
+        "error": row.error,
+        "href": f"/v1/simulations/{row.id}",
+    }

@@ -338,7 +338,12 @@ class Leases(Generic[Row]):
             if reason is not None:
                 data["reason"] = reason
         self._record(connection, identifier, changed.revision, kind, data)
+        if values.get("state") in FINAL_STATES:
+            self._ended(connection, identifier)
         return True
+
+    def _ended(self, connection: sa.Connection, identifier: str) -> None:
+        """Called in the transaction in which a row reaches a final state."""
 
     def _record(self, connection: sa.Connection, identifier: str, sequence: int, kind: str, data: Json) -> None:
         event = {self._event_key.name: identifier, "sequence": sequence, "at": self.clock(), "kind": kind, "data": data}

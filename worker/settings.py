@@ -64,6 +64,11 @@ class Settings(BaseSettings):
     sweep_seconds: float = Field(2.0, gt=0, description="interval of the sweep for lost cases [s]")
     body_limit_bytes: int = Field(1_000_000, gt=0, description="largest body of a request [byte]")
     upload_limit_bytes: int = Field(4_000_000_000, gt=0, description="largest label volume that is uploaded [byte]")
+    webhook_private_hosts: str = Field(
+        "",
+        description="hosts, separated by commas, that webhooks may reach by http and at private addresses; of any "
+        "other host only https at public addresses",
+    )
     log_level: Literal["DEBUG", "INFO", "WARNING", "ERROR"] = "INFO"
     pipeline: str = Field(
         "simcore.pipeline:run", description="module:function that runs a case; another one for tests only"
@@ -144,6 +149,11 @@ class Settings(BaseSettings):
     def memory_limit(self) -> int:
         """Memory one case may use, bytes."""
         return self.memory_limit_bytes or int(0.8 * physical_bytes() / self.worker_slots)
+
+    @property
+    def webhook_private_host_names(self) -> frozenset[str]:
+        """Hosts that webhooks may reach by http and at private addresses."""
+        return frozenset(name.strip().lower() for name in self.webhook_private_hosts.split(",") if name.strip())
 
     @property
     def visibility_timeout(self) -> float:

@@ -1,0 +1,133 @@
+"""/v1/webhooks: who is told of what happens, and what they were told."""
+
+from __future__ import annotations
+
+import re
+from typing import Annotated, Any
+
+from fastapi import APIRouter, Depends, Query, Request, Response
+
+from api import pages
+from api.auth import Write
+from api.bodies import body_of, posted
+from api.deps import Identifier, Served, services
+from api.errors import ApiError
+from api.webhook_resources import (
+    CreatedWebhook,
+    MessagePage,
+    MessageResource,
+    NewWebhook,
+    WebhookList,
+    WebhookResource,
+    message_resource,
+    webhook_path,
+    webhook_resource,
+)
+from worker import outbound
+from worker.leases import NotFoundError, StateError
+
+MAX_WEBHOOKS = 100
+
+router = APIRouter(prefix="/webhooks", tags=["webhooks"])
+
+
+async def _new_webhook(request: Request) -> NewWebhook:
+    new = await posted(request, NewWebhook)
+    hosts = services(request).settings.webhook_private_host_names
+    try:
+        url = outbound.check_url(new.url, hosts)
+        await outbound.resolve(url, hosts)
+    except outbound.RefusedAddressError as error:
+        item = {"pointer": "/url", "value": new.url[:200], "detail": str(error)}
+        raise ApiError(422, "invalid-request", str(error), errors=[item], reason=error.code) from None
+    except OSError:
+        pass  # a name that is not known yet, or not now: sending will tell
+    return new
+
+
+def _message_identifier(message_id: str) -> str:
+    if not re.fullmatch("msg_[0-9a-f]{32}", message_id):
+        raise NotFoundError(message_id, "message")
+    return message_id
+
+
+MessageIdentifier = Annotated[str, Depends(_message_identifier)]
+
+
+@router.post("", status_code=201, openapi_extra=body_of(NewWebhook))
+def create(
+    caller: Write,
+    new: Annotated[NewWebhook, Depends(_new_webhook)], served: Served, request: Request, response: Response
+) -> CreatedWebhook:
+    """Makes a webhook. Its messages are signed as Standard Webhooks says, with the secret that is shown only now."""
+    if len(served.webhooks.all()) >= MAX_WEBHOOKS:
+        raise ApiError(409, "too-many-webhooks", f"there are {MAX_WEBHOOKS} webhooks: delete one first")
+    row, secret = served.webhooks.create(new.url, new.events, new.description.replace("\0", ""))
+    response.headers["Location"] = str(request.base_url).rstrip("/") + webhook_path(row.id)
+    return CreatedWebhook(**webhook_resource(row).model_dump(), secret=secret)
+
+
+@router.get("")
+def list_webhooks(caller: Write, served: Served) -> WebhookList:
+    """All webhooks, oldest first."""
+    return WebhookList(items=[webhook_resource(row) for row in served.webhooks.all()])
+
+
+@router.get("/{identifier}")
+def get_webhook(caller: Write, identifier: Identifier, served: Served) -> WebhookResource:
+    """One webhook."""
+    return webhook_resource(served.webhooks.get(identifier))
+
+
+@router.delete("/{identifier}", status_code=204)
+def delete(caller: Write, identifier: Identifier, served: Served) -> None:
+    """Forgets a webhook and what was still to be told."""
+    served.webhooks.delete(identifier)
+
+
+@router.post("/{identifier}/test", status_code=202)
+def test(caller: Write, identifier: Identifier, served: Served) -> MessageResource:
+    """Sends a message of the event ``webhook.test``; its document says whether it arrived."""
+    return message_resource(served.webhooks.test(identifier), [])
+
+
+@router.post("/{identifier}/enable")
+def enable(caller: Write, identifier: Identifier, served: Served) -> WebhookResource:
+    """Tells a disabled webhook again of what happens from now on."""
+    return webhook_resource(served.webhooks.enable(identifier))
+
+
+@router.get("/{identifier}/messages")
+def list_messages(
+    caller: Write,
+    identifier: Identifier,
+    served: Served,
+    request: Request,
+    response: Response,
+    limit: Annotated[int, Query(ge=1, le=200)] = 50,
+    cursor: Annotated[str | None, Query(description="from the page before; anything else: 400 bad-cursor")] = None,
+) -> MessagePage:
+    """What was told in the last week and what is to be told, the newest first."""
+    before = pages.decode(cursor) if cursor is not None else None
+    rows = served.webhooks.messages(identifier, limit + 1, before)
+    following = None
+    if len(rows) > limit:
+        last = rows[limit - 1]
+        following = pages.encode((last.created, last.id))
+        response.headers["Link"] = f'<{request.url.include_query_params(cursor=following)}>; rel="next"'
+    return MessagePage(items=[message_resource(row) for row in rows[:limit]], next=following)
+
+
+@router.get("/{identifier}/messages/{message_id}")
+def get_message(caller: Write, identifier: Identifier, message_id: MessageIdentifier, served: Served) -> MessageResource:
+    """One message with its content and every attempt to send it."""
+    return message_resource(*served.webhooks.message(identifier, message_id))
+
+
+@router.post("/{identifier}/messages/{message_id}/replay", status_code=202)
+def replay(caller: Write, identifier: Identifier, message_id: MessageIdentifier, served: Served) -> Any:
+    """Sends a message again that is done with."""
+    try:
+        return message_resource(served.webhooks.replay(identifier, message_id))
+    except StateError:
+        raise ApiError(409, "not-finished", "the message is still to be sent") from None
