@@ -57,7 +57,10 @@ MessageIdentifier = Annotated[str, Depends(_message_identifier)]
 @router.post("", status_code=201, openapi_extra=body_of(NewWebhook))
 def create(
     caller: Write,
-    new: Annotated[NewWebhook, Depends(_new_webhook)], served: Served, request: Request, response: Response
+    new: Annotated[NewWebhook, Depends(_new_webhook)],
+    served: Served,
+    request: Request,
+    response: Response,
 ) -> CreatedWebhook:
     """Makes a webhook. Its messages are signed as Standard Webhooks says, with the secret that is shown only now."""
     if len(served.webhooks.all()) >= MAX_WEBHOOKS:
@@ -119,7 +122,9 @@ def list_messages(
 
 
 @router.get("/{identifier}/messages/{message_id}")
-def get_message(caller: Write, identifier: Identifier, message_id: MessageIdentifier, served: Served) -> MessageResource:
+def get_message(
+    caller: Write, identifier: Identifier, message_id: MessageIdentifier, served: Served
+) -> MessageResource:
     """One message with its content and every attempt to send it."""
     return message_resource(*served.webhooks.message(identifier, message_id))
 
