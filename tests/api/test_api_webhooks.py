@@ -113,7 +113,9 @@ def test_from_the_end_of_a_case_to_a_verified_message(settings, broker):
     threading.Thread(target=server.serve_forever, daemon=True).start()
     allowed = settings.model_copy(update={"webhook_private_hosts": "127.0.0.1"})
     try:
-        with TestClient(create_app(allowed, broker), base_url="http://127.0.0.1") as client:
+        with TestClient(
+            create_app(allowed, broker), base_url="http://127.0.0.1", client=("127.0.0.1", 50000)
+        ) as client:
             hook = client.post("/v1/webhooks", json={"url": f"http://127.0.0.1:{server.server_port}/hook"}).json()
             case = client.post("/v1/simulations", json={"name": "told"}).json()
             client.post(f"{case['links']['self']}/cancel")
