@@ -30,7 +30,10 @@ from simcore.projection.crossings import Columns, Crossings, crossings_of
 from simcore.projection.schedule import spread
 
 ROWS_PER_TILE = 48
-COLUMN_CACHE = 64
+COLUMNS_HELD = 64
+"""Columns of a slice whose differences a tile keeps; more where one path meets more in a slice."""
+SLICES_PER_BLOCK = 4
+"""A row works through so many slices before the next row follows: its sums stay in the first-level cache."""
 CODES_PER_GROUP = 4
 FAST = {"contract", "nsz", "nnan", "ninf", "arcp"}
 
@@ -165,54 +168,68 @@ def _run_tile(
 ) -> None:
     """Subtract E_b(z_b) of every crossing from out; leave E at the top of the volume in ``prefix``.
 
-    Where the rows' path stays in one column through a slice, E grows linearly in it; where it changes column, the
-    crossings first take E at the bottom of the slice and then the share of each column."""
+    Where a row's path stays in one column through a slice, E grows linearly in it; where it turns from one column to
+    the next, E has a bend. A path so flat that it meets more columns takes them one by one."""
+    # Tuples are taken apart here, once: every taking apart counts references, which costs as much as a crossing.
     labels, ends, codes, values = voxels
     start, pixel, boundary, fraction, _ = crossings
     bottom_y, top_y, _, _ = rows
-    reach = prefix.shape[1] - 1
-    nz, ny, _ = labels.shape
-    cache = _aligned_zeros(COLUMN_CACHE, reach + 1)
-    held = np.full(COLUMN_CACHE, -1, np.int64)
-    scratch = np.zeros(reach + 2, np.float32)
+    width = prefix.shape[1]
+    slices = labels.shape[0]
+    flattest = np.abs(top_y[first_row:last_row] - bottom_y[first_row:last_row]).max() / slices
+    columns_held = max(COLUMNS_HELD, int(flattest) + 2)
+    slots = SLICES_PER_BLOCK * columns_held
+    memory = _aligned_zeros(slots + 1, width)  # the last slot: beside the volume
+    held = np.empty(slots + 1, np.int64)
+    scratch = np.zeros(width + 1, np.float32)
     known = np.zeros(last_row - first_row, np.int64)
-    for k in range(nz):
-        first, stop = start[k], start[k + 1]
+    for block in range(0, slices, SLICES_PER_BLOCK):
         held[:] = -1
         for row in range(first_row, last_row):
-            local = row - first_row
-            slope = (top_y[row] - bottom_y[row]) / nz
-            enter_y = bottom_y[row] + slope * k
-            leave_y = bottom_y[row] + slope * (k + 1)
-            column, final = math.floor(enter_y), math.floor(leave_y)
-            straight = column == final
-            if not straight and known[local] > 0:
-                _cross_constant(prefix[local], first, stop, pixel, boundary, known[local], out[row])
-            step = 1 if final > column else -1
-            low = 0.0
-            while True:
-                high = 1.0 if column == final else (column + (step > 0) - enter_y) / slope
-                if 0 <= column < ny and ends[k, column] > 0:
-                    end = ends[k, column] + 1
-                    slot = column % COLUMN_CACHE
-                    if held[slot] != column:
-                        _differences(labels[k, column], end, codes, values, scratch, cache[slot])
-                        held[slot] = column
-                    known[local] = max(known[local], end)
-                    if straight:
-                        _cross(
-                            prefix[local], cache[slot], first, stop, pixel, boundary, fraction, known[local], out[row]
-                        )
-                    else:
-                        part = np.float32(low), np.float32(high)
-                        _cross_part(cache[slot], part, first, stop, pixel, boundary, fraction, end, out[row])
-                    _add(prefix[local], cache[slot], end, np.float32(high - low))
-                elif straight and known[local] > 0:
-                    _cross_constant(prefix[local], first, stop, pixel, boundary, known[local], out[row])
-                if column == final:
-                    break
-                column += step
-                low = high
+            sums, sink = prefix[row - first_row], out[row]
+            end = known[row - first_row]
+            slope = (top_y[row] - bottom_y[row]) / slices
+            for k in range(block, min(block + SLICES_PER_BLOCK, slices)):
+                enter_y = bottom_y[row] + slope * k
+                column, final = math.floor(enter_y), math.floor(bottom_y[row] + slope * (k + 1))
+                for c in range(min(column, final), max(column, final) + 1):
+                    slot = _slot(ends, columns_held, k, c)
+                    if slot < slots:
+                        end = max(end, ends[k, c] + 1)
+                        if held[slot] != c:
+                            _differences(labels[k, c], ends[k, c] + 1, codes, values, scratch, memory[slot])
+                            held[slot] = c
+                if end == 0:
+                    continue
+                first, stop = start[k], start[k + 1]
+                entered = memory[_slot(ends, columns_held, k, column)]
+                step = 1 if final > column else -1
+                turn = np.float32((column + (step > 0) - enter_y) / slope)
+                if final == column:
+                    _cross(sums, entered, first, stop, pixel, boundary, fraction, end, sink)
+                    _add(sums, entered, end, np.float32(1.0))
+                elif final == column + step:
+                    left = memory[_slot(ends, columns_held, k, final)]
+                    _cross_turning(sums, entered, left, turn, first, stop, pixel, boundary, fraction, end, sink)
+                    _add_turning(sums, entered, left, end, turn)
+                else:
+                    _cross_nothing(sums, first, stop, pixel, boundary, end, sink)
+                    low = np.float32(0.0)
+                    for c in range(column, final + step, step):
+                        high = np.float32((c + (step > 0) - enter_y) / slope) if c != final else np.float32(1.0)
+                        passed = memory[_slot(ends, columns_held, k, c)]
+                        _cross_part(passed, low, high, first, stop, pixel, boundary, fraction, end, sink)
+                        _add(sums, passed, end, high - low)
+                        low = high
+            known[row - first_row] = end
+
+
+@numba.njit(cache=True)
+def _slot(ends: NDArray[np.int32], columns_held: int, k: int, column: int) -> int:
+    """Where the differences of a column are kept; the last slot for columns without tissue."""
+    if column < 0 or column >= ends.shape[1] or ends[k, column] == 0:
+        return SLICES_PER_BLOCK * columns_held
+    return (k % SLICES_PER_BLOCK) * columns_held + column % columns_held
 
 
 @numba.njit(cache=True, fastmath=FAST, error_model="numpy")
@@ -228,11 +245,10 @@ def _differences(
 
     A chain of selects instead of a table: it vectorises."""
     zero = np.float32(0.0)
-    count = end - 1
     for group in range(codes.shape[0]):
         c0, c1, c2, c3 = codes[group, 0], codes[group, 1], codes[group, 2], codes[group, 3]
         m0, m1, m2, m3 = values[group, 0], values[group, 1], values[group, 2], values[group, 3]
-        for i in range(count):
+        for i in range(end - 1):
             label = labels[i]
             m = zero if group == 0 else scratch[i + 1]
             m = m0 if label == c0 else m
@@ -254,6 +270,15 @@ def _add(prefix: NDArray[np.float32], step: NDArray[np.float32], end: int, part:
 
 
 @numba.njit(cache=True, fastmath=FAST, error_model="numpy")
+def _add_turning(
+    prefix: NDArray[np.float32], entered: NDArray[np.float32], left: NDArray[np.float32], end: int, turn: np.float32
+) -> None:
+    rest = np.float32(1.0) - turn
+    for b in range(end):
+        prefix[b] += turn * entered[b] + rest * left[b]
+
+
+@numba.njit(cache=True, fastmath=FAST, error_model="numpy")
 def _cross(
     prefix: NDArray[np.float32],
     step: NDArray[np.float32],
@@ -262,29 +287,52 @@ def _cross(
     pixel: NDArray[np.uint32],
     boundary: NDArray[np.uint32],
     fraction: NDArray[np.float32],
-    known: int,
+    end: int,
     out: NDArray[np.float32],
 ) -> None:
     for event in range(np.uint64(first), np.uint64(stop)):
         b = boundary[event]
-        if b >= known:
+        if b >= end:
             break
         out[pixel[event]] -= prefix[b] + fraction[event] * step[b]
 
 
 @numba.njit(cache=True, fastmath=FAST, error_model="numpy")
-def _cross_constant(
+def _cross_turning(
+    prefix: NDArray[np.float32],
+    entered: NDArray[np.float32],
+    left: NDArray[np.float32],
+    turn: np.float32,
+    first: int,
+    stop: int,
+    pixel: NDArray[np.uint32],
+    boundary: NDArray[np.uint32],
+    fraction: NDArray[np.float32],
+    end: int,
+    out: NDArray[np.float32],
+) -> None:
+    """As ``_cross``, where the path leaves one column for the next at the height ``turn`` within the slice."""
+    for event in range(np.uint64(first), np.uint64(stop)):
+        b = boundary[event]
+        if b >= end:
+            break
+        before = min(fraction[event], turn)
+        out[pixel[event]] -= prefix[b] + before * entered[b] + (fraction[event] - before) * left[b]
+
+
+@numba.njit(cache=True, fastmath=FAST, error_model="numpy")
+def _cross_nothing(
     prefix: NDArray[np.float32],
     first: int,
     stop: int,
     pixel: NDArray[np.uint32],
     boundary: NDArray[np.uint32],
-    known: int,
+    end: int,
     out: NDArray[np.float32],
 ) -> None:
     for event in range(np.uint64(first), np.uint64(stop)):
         b = boundary[event]
-        if b >= known:
+        if b >= end:
             break
         out[pixel[event]] -= prefix[b]
 
@@ -292,20 +340,20 @@ def _cross_constant(
 @numba.njit(cache=True, fastmath=FAST, error_model="numpy")
 def _cross_part(
     step: NDArray[np.float32],
-    part: tuple[np.float32, np.float32],
+    low: np.float32,
+    high: np.float32,
     first: int,
     stop: int,
     pixel: NDArray[np.uint32],
     boundary: NDArray[np.uint32],
     fraction: NDArray[np.float32],
-    known: int,
+    end: int,
     out: NDArray[np.float32],
 ) -> None:
-    """The share of one column, between two heights, where the row's path changes column within the slice."""
-    low, high = part
+    """The share of one column, between two heights within the slice."""
     for event in range(np.uint64(first), np.uint64(stop)):
         b = boundary[event]
-        if b >= known:
+        if b >= end:
             break
         out[pixel[event]] -= (min(max(fraction[event], low), high) - low) * step[b]
 

@@ -119,6 +119,17 @@ def test_plane_prefix_is_siddon(angular_range, detector_range, spacing, x):
         assert np.abs(error).max() < 1e-5 * expected.max()
 
 
+@pytest.mark.parametrize("columns", [40, 300])
+def test_paths_that_meet_many_columns_in_a_slice(columns):
+    labels = np.random.default_rng(4).integers(0, 10, (4, columns, 12)).astype(np.uint8)
+    phantom = phantom_of(labels, (2.0, 24.0 / columns, 12.0))
+    geometry = geometry_of(acquisition(angular_range_degrees=118.0))
+    for view in range(3):
+        found = line_integrals(phantom, geometry, view, ALL_DIFFERENT)
+        np.testing.assert_allclose(found, by_rays(phantom, geometry, view, ALL_DIFFERENT), atol=2e-5)
+        assert found.max() > 1.0
+
+
 def test_rays_through_voxel_corners():
     """Pixels as wide as voxels on the detector: many rays run exactly along or through voxel boundaries."""
     labels = np.random.default_rng(3).integers(0, 4, (16, 32, 24)).astype(np.uint8)
