@@ -9,13 +9,14 @@ from typing import Any
 from fastapi import Depends, FastAPI
 from fastapi.concurrency import run_in_threadpool
 
-from api import artifacts, catalog, errors, events, health, page, phantoms, simulations, webhooks
+from api import artifacts, catalog, errors, events, health, page, phantoms, simulations, studies, webhooks
 from api.auth import authenticate
 from api.deps import Services
 from api.guard import Guard
 from api.resources import PREFIX
 from simcore import __version__
 from simcore.spec import SimulationSpec
+from simcore.study import StudySpec
 from worker.courier import Courier
 from worker.messages import Messenger
 from worker.reaper import Reaper
@@ -63,7 +64,7 @@ def create_app(settings: Settings | None = None, messenger: Messenger | None = N
     )
     errors.install(app)
     app.add_middleware(Guard)
-    for module in (simulations, events, artifacts, phantoms, webhooks, catalog):
+    for module in (simulations, events, artifacts, studies, phantoms, webhooks, catalog):
         app.include_router(module.router, prefix=PREFIX, dependencies=[Depends(authenticate)])
     app.include_router(health.router)
     app.include_router(page.router)
@@ -82,7 +83,7 @@ def _describe_specification(app: FastAPI) -> None:
         if app.openapi_schema is None:
             description = generate()
             schemas = description.setdefault("components", {}).setdefault("schemas", {})
-            for model in (SimulationSpec, errors.Problem):
+            for model in (SimulationSpec, StudySpec, errors.Problem):
                 schema = model.model_json_schema(ref_template="#/components/schemas/{model}")
                 schemas.update(schema.pop("$defs", {}))
                 schemas[model.__name__] = schema

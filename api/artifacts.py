@@ -6,6 +6,7 @@ import json
 import zlib
 from collections.abc import Iterator
 from datetime import UTC, datetime
+from itertools import chain
 from typing import Annotated, Any, Literal
 from urllib.parse import quote
 
@@ -85,17 +86,12 @@ def get_archive(
 ) -> StreamingResponse:
     """Files and manifest.json as a zip archive (zip64, stored), made while it is sent."""
     manifest = finished_manifest(served, identifier)
-    refs = file_refs(manifest)
-    if only is not None:
-        stages = _stage_of_files(manifest)
-        refs = {name: ref for name, ref in refs.items() if stages.get(name) == only}
-    for name, ref in refs.items():
-        if not served.store.path(ref).exists():
-            raise ApiError(410, "expired", f"{name} is not in the store any more: post the case again")
-    finished = served.jobs.get(identifier).finished or 0.0
-    members = _members(served.store, manifest, refs, datetime.fromtimestamp(finished, UTC))
+    refs = chosen_files(manifest, only)
+    check_stored(served.store, refs)
+    when = datetime.fromtimestamp(served.jobs.get(identifier).finished or 0.0, UTC)
+    first = content_member("manifest.json", manifest_bytes(manifest), when)
     return StreamingResponse(
-        stream_zip(members, chunk_size=files.CHUNK_BYTES),
+        stream_zip(chain([first], file_members(served.store, refs, when)), chunk_size=files.CHUNK_BYTES),
         media_type="application/zip",
         headers={"Content-Disposition": f'attachment; filename="tomosim-{identifier}.zip"'},
     )
@@ -127,13 +123,32 @@ def _stage_of_files(manifest: Json) -> dict[str, str]:
 Member = tuple[str, datetime, int, Any, Iterator[bytes]]
 
 
-def _members(store: Store, manifest: Json, refs: dict[str, FileRef], when: datetime) -> Iterator[Member]:
-    content = manifest_bytes(manifest)
-    method = NO_COMPRESSION_64(len(content), zlib.crc32(content))
-    yield "manifest.json", when, FILE_MODE, method, iter([content])
+def chosen_files(manifest: Json, only: str | None) -> dict[str, FileRef]:
+    """The files of a case that one stage made, or all."""
+    refs = file_refs(manifest)
+    if only is None:
+        return refs
+    stages = _stage_of_files(manifest)
+    return {name: ref for name, ref in refs.items() if stages.get(name) == only}
+
+
+def check_stored(store: Store, refs: dict[str, FileRef], folder: str = "") -> None:
+    """raises: ApiError 410 where a file is not in the store any more"""
+    for name, ref in refs.items():
+        if not store.path(ref).exists():
+            raise ApiError(410, "expired", f"{folder}{name} is not in the store any more: post the case again")
+
+
+def content_member(name: str, content: bytes, when: datetime) -> Member:
+    """A file of an archive, from memory."""
+    return name, when, FILE_MODE, NO_COMPRESSION_64(len(content), zlib.crc32(content)), iter([content])
+
+
+def file_members(store: Store, refs: dict[str, FileRef], when: datetime, folder: str = "") -> Iterator[Member]:
+    """Stored files as files of an archive."""
     for name, ref in refs.items():
         path = store.path(ref)
         checksum = 0
         for chunk in files.read_chunks(path):
             checksum = zlib.crc32(chunk, checksum)
-        yield name, when, FILE_MODE, NO_COMPRESSION_64(ref.size, checksum), files.read_chunks(path)
+        yield folder + name, when, FILE_MODE, NO_COMPRESSION_64(ref.size, checksum), files.read_chunks(path)

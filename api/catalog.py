@@ -16,11 +16,12 @@ from simcore import __version__, presets
 from simcore.core.errors import SpecError
 from simcore.phantom.upload.reading import Reading
 from simcore.spec import SimulationSpec
+from simcore.study import StudySpec
 from worker.contract import QUEUES, STATES
 
 router = APIRouter(tags=["catalog"])
 
-SCHEMAS: dict[str, type[BaseModel]] = {"simulation": SimulationSpec, "reading": Reading}
+SCHEMAS: dict[str, type[BaseModel]] = {"simulation": SimulationSpec, "study": StudySpec, "reading": Reading}
 
 
 class PresetResource(BaseModel):
@@ -52,6 +53,7 @@ class Limits(BaseModel):
     upload_bytes: int
     seconds: float
     attempts: int
+    study_cases: int
 
 
 class ServiceInfo(BaseModel):
@@ -118,10 +120,12 @@ def service_info(caller: Read, served: Served) -> ServiceInfo:
             upload_bytes=settings.upload_limit_bytes,
             seconds=settings.job_timeout_seconds,
             attempts=settings.max_attempts,
+            study_cases=settings.study_case_limit,
         ),
         threads_per_case=settings.threads,
         links={
             "simulations": f"{PREFIX}/simulations",
+            "studies": f"{PREFIX}/studies",
             "phantoms": f"{PREFIX}/phantoms",
             "presets": f"{PREFIX}/presets",
             "schemas": f"{PREFIX}/schemas",

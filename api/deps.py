@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Annotated
 
@@ -14,19 +15,23 @@ from simcore.spec import SimulationSpec
 from worker import schema
 from worker.database import connect
 from worker.fleet import Fleet
+from worker.idempotency import Idempotency
 from worker.jobs import Jobs, NotFoundError
 from worker.keys import Keys, check_address
 from worker.messages import CeleryMessenger, Messenger
 from worker.settings import Settings
+from worker.studies import Studies
 from worker.webhooks import Webhooks
 
 
 @dataclass(frozen=True)
 class Services:
-    """The truth (jobs, fleet), the broker and the files."""
+    """The truth (jobs, studies, fleet), the broker and the files."""
 
     settings: Settings
     jobs: Jobs
+    studies: Studies
+    idempotency: Idempotency
     fleet: Fleet
     keys: Keys
     messenger: Messenger
@@ -42,9 +47,12 @@ class Services:
         schema.prepare(engine)
         keys = Keys(engine)
         check_address(settings, keys)
+        jobs = Jobs(engine, settings.lease_seconds)
         return cls(
             settings,
-            Jobs(engine, settings.lease_seconds),
+            jobs,
+            Studies(jobs),
+            Idempotency(engine, settings.idempotency_seconds),
             Fleet(engine),
             keys,
             messenger or CeleryMessenger(settings),
@@ -69,14 +77,19 @@ def services(request: Request) -> Services:
 Served = Annotated[Services, Depends(services)]
 
 
-def _identifier(identifier: str) -> str:
-    if not re.fullmatch("[0-9a-f]{32}", identifier):
-        raise NotFoundError(identifier)  # not even asked for: databases differ in which characters they take
-    return identifier
+def identifier_of(what: str) -> Callable[[str], str]:
+    """A check that a path parameter has the form of an identifier; anything else is not found."""
+
+    def check(identifier: str) -> str:
+        if not re.fullmatch("[0-9a-f]{32}", identifier):
+            raise NotFoundError(identifier, what)  # not even asked for: databases differ in which characters they take
+        return identifier
+
+    return check
 
 
-Identifier = Annotated[str, Depends(_identifier)]
-"""A path parameter of the form that identifiers have; anything else is not found."""
+Identifier = Annotated[str, Depends(identifier_of("simulation"))]
+StudyIdentifier = Annotated[str, Depends(identifier_of("study"))]
 
 
 async def _posted_specification(request: Request) -> SimulationSpec:
@@ -84,12 +97,17 @@ async def _posted_specification(request: Request) -> SimulationSpec:
 
     raises: ApiError 413, 415; SpecError naming every wrong field.
     """
+    return SimulationSpec.parse(await read_json(request))
+
+
+async def read_json(request: Request) -> bytes:
+    """The body of a request that must be JSON, not parsed. raises: ApiError 413, 415"""
     limit = services(request).settings.body_limit_bytes
     kind = request.headers.get("content-type", "").partition(";")[0].strip().lower()
     if kind != "application/json" and not kind.endswith("+json"):
         # Also keeps out pages of other sites: a browser sends them JSON only after asking us.
         raise ApiError(415, "unsupported-media-type", f"Content-Type = {kind!r}: the body must be application/json")
-    return SimulationSpec.parse(await read_body(request, limit))
+    return await read_body(request, limit)
 
 
 async def read_body(request: Request, limit: int) -> bytes:

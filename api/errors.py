@@ -35,6 +35,8 @@ class ProblemItem(BaseModel):
     parameter: str | None = Field(None, description="name of the query parameter or header")
     value: Any = None
     detail: str
+    case: int | None = Field(None, description="number of the first case of a study that is concerned")
+    cases: int | None = Field(None, description="number of cases of a study that are concerned")
 
 
 class Problem(BaseModel):
@@ -100,10 +102,11 @@ def _problem_item(problem: dict[str, Any]) -> dict[str, Any]:
     field = str(problem["field"])
     # Field names have neither "/" nor "~", so nothing has to be escaped. The whole document is "".
     pointer = "" if field.startswith("(") else "/" + field.replace(".", "/")
-    return {"pointer": pointer, "value": _shown(problem.get("value")), "detail": problem["message"]}
+    pointer = problem.get("pointer", pointer)
+    return {"pointer": pointer, "value": shown(problem.get("value")), "detail": problem["message"]}
 
 
-def _shown(value: Any) -> Any:
+def shown(value: Any) -> Any:
     """A refused value as JSON can say it, and not too long."""
     if isinstance(value, float) and not math.isfinite(value):
         return str(value)
@@ -151,7 +154,7 @@ def install(app: FastAPI) -> None:
     @app.exception_handler(RequestValidationError)
     async def _invalid(request: Request, error: RequestValidationError) -> Response:
         items = [
-            {"parameter": str(item["loc"][-1]), "value": _shown(item.get("input")), "detail": item["msg"]}
+            {"parameter": str(item["loc"][-1]), "value": shown(item.get("input")), "detail": item["msg"]}
             for item in error.errors()
         ]
         detail = "; ".join(f"{item['parameter']} = {item['value']!r}: {item['detail']}" for item in items)

@@ -37,6 +37,14 @@ class FailureResource(BaseModel):
     problems: list[dict[str, Any]] = []
 
 
+class StudyPlace(BaseModel):
+    """The place of a case in its study."""
+
+    id: str
+    number: int
+    coordinates: dict[str, Any]
+
+
 class SimulationResource(BaseModel):
     """One case."""
 
@@ -52,6 +60,7 @@ class SimulationResource(BaseModel):
     estimate: Estimate
     error: FailureResource | None
     results: dict[str, Any] | None = Field(description="main numbers of a case that succeeded")
+    study: StudyPlace | None = Field(None, description="of a case of a study")
     specification: dict[str, Any] | None = Field(None, description="left out of lists")
     links: dict[str, str]
 
@@ -89,6 +98,8 @@ def simulation_resource(row: Simulation, specification: dict[str, Any] | None = 
     """The document of a case."""
     path = simulation_path(row.id)
     links = {"self": path, "events": f"{path}/events"}
+    if row.study_id is not None:
+        links["study"] = f"{PREFIX}/studies/{row.study_id}"
     if row.state == "succeeded":
         links |= {name: f"{path}/{name}" for name in ("artifacts", "archive", "manifest")}
     elif row.is_final:
@@ -101,16 +112,23 @@ def simulation_resource(row: Simulation, specification: dict[str, Any] | None = 
         state=row.state,
         revision=row.revision,
         attempt=row.attempt,
-        created_at=_when(row.created),
-        started_at=_when(row.started) if row.started else None,
-        finished_at=_when(row.finished) if row.finished else None,
+        created_at=when(row.created),
+        started_at=when(row.started) if row.started else None,
+        finished_at=when(row.finished) if row.finished else None,
         progress=_progress(row),
         estimate=Estimate(**row.estimate),
         error=FailureResource(**row.error) if row.error else None,
         results=row.results,
+        study=_place(row),
         specification=specification,
         links=links,
     )
+
+
+def _place(row: Simulation) -> StudyPlace | None:
+    if row.study_id is None:
+        return None
+    return StudyPlace(id=row.study_id, number=row.study_number or 0, coordinates=row.coordinates or {})
 
 
 def _progress(row: Simulation) -> ProgressResource:
@@ -127,5 +145,6 @@ def _progress(row: Simulation) -> ProgressResource:
     )
 
 
-def _when(seconds: float) -> datetime:
+def when(seconds: float) -> datetime:
+    """Seconds since 1970 as a time in UTC."""
     return datetime.fromtimestamp(seconds, UTC)

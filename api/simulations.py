@@ -12,6 +12,7 @@ from api.auth import Read, Write
 from api.conditions import none_match
 from api.deps import Identifier, PostedSpecification, Served, Services
 from api.errors import ApiError
+from api.idempotency import IdempotentRoute, Making
 from api.resources import SimulationPage, SimulationResource, simulation_path, simulation_resource
 from simcore import estimate
 from simcore.estimate import Estimate
@@ -19,7 +20,7 @@ from simcore.phantom.upload import registry
 from simcore.phantom.upload.spec import UploadedPhantom
 from simcore.spec import SimulationSpec
 from worker.contract import State
-from worker.jobs import Simulation, StateError
+from worker.jobs import NotFoundError, Simulation, StateError
 
 log = logging.getLogger(__name__)
 
@@ -33,19 +34,27 @@ _BODY: dict[str, Any] = {
     }
 }
 
-router = APIRouter(prefix="/simulations", tags=["simulations"])
+router = APIRouter(prefix="/simulations", tags=["simulations"], route_class=IdempotentRoute)
 
 
 @router.post("", status_code=202, openapi_extra=_BODY)
 def create(
-    caller: Write, specification: PostedSpecification, served: Served, request: Request, response: Response
+    caller: Write,
+    specification: PostedSpecification,
+    served: Served,
+    making: Making,
+    request: Request,
+    response: Response,
 ) -> SimulationResource:
     """Takes a case into the queue."""
-    needs = _check(specification, served)
-    served.store.require_space(needs.storage_bytes)
     data = specification.model_dump(mode="json")
-    row = served.jobs.create(data, needs.model_dump(mode="json"), specification.name.replace("\0", ""))
-    _send(served, row)
+    row = _made_before(served, making.identifier) if making.again else None
+    if row is None:
+        needs = _check(specification, served)
+        served.store.require_space(needs.storage_bytes)
+        name = specification.name.replace("\0", "")
+        row = served.jobs.create(data, needs.model_dump(mode="json"), name, identifier=making.identifier)
+        send(served, row)
     response.headers.update({"Location": str(request.base_url).rstrip("/") + simulation_path(row.id), **RETRY_AFTER})
     return simulation_resource(row, data)
 
@@ -63,12 +72,13 @@ def list_simulations(
     request: Request,
     response: Response,
     state: Annotated[State | None, Query(description="only cases in this state")] = None,
+    study_id: Annotated[str | None, Query(pattern="^[0-9a-f]{32}$", description="only cases of this study")] = None,
     limit: Annotated[int, Query(ge=1, le=200)] = 50,
     cursor: Annotated[str | None, Query(description="from the page before; anything else: 400 bad-cursor")] = None,
 ) -> SimulationPage:
     """Cases, the newest first."""
     before = pages.decode(cursor) if cursor is not None else None
-    rows = served.jobs.page(limit + 1, state, before)
+    rows = served.jobs.page(limit + 1, state, before, study_id)
     following = None
     if len(rows) > limit:
         last = rows[limit - 1]
@@ -122,7 +132,7 @@ def retry(
         raise ApiError(
             409, code, f"the simulation is {error.state}; only a failed or cancelled one is retried"
         ) from None
-    _send(served, row)
+    send(served, row)
     response.headers.update({"Location": str(request.base_url).rstrip("/") + simulation_path(row.id), **RETRY_AFTER})
     return simulation_resource(row)
 
@@ -130,6 +140,8 @@ def retry(
 @router.delete("/{identifier}", status_code=204)
 def delete(caller: Write, identifier: Identifier, served: Served) -> None:
     """Forgets a finished case. Stored stages stay: other cases may use them."""
+    if (study := served.jobs.get(identifier).study_id) is not None:
+        raise ApiError(409, "part-of-study", f"the simulation is a case of the study {study}: delete the study")
     try:
         served.jobs.delete(identifier)
     except StateError as error:
@@ -144,7 +156,14 @@ def _check(specification: SimulationSpec, served: Services) -> Estimate:
     return estimate.check(specification, served.settings.memory_limit)
 
 
-def _send(served: Services, row: Simulation) -> None:
+def _made_before(served: Services, identifier: str) -> Simulation | None:
+    try:
+        return served.jobs.get(identifier)
+    except NotFoundError:
+        return None
+
+
+def send(served: Services, row: Simulation) -> None:
     """Sends the message of a row that is committed; where that fails the sweep sends it later."""
     try:
         served.messenger.send(row.id, row.queue)

@@ -78,6 +78,12 @@ def _item(annotation: Any) -> Any:
     return get_args(held)[0] if get_origin(held) is Annotated else held
 
 
+def _value(annotation: Any) -> Any:
+    """What an object with free keys holds, without what is annotated to it."""
+    held = get_args(annotation)[1]
+    return get_args(held)[0] if get_origin(held) is Annotated else held
+
+
 def _walk(model: type[Spec], location: tuple[int | str, ...]) -> tuple[list[str], Any]:
     """The path of a field as the client wrote it (pydantic adds the kind of a union's member), and what stands there.
 
@@ -93,6 +99,9 @@ def _walk(model: type[Spec], location: tuple[int | str, ...]) -> tuple[list[str]
         if isinstance(step, int):
             current = _item(current)
             continue
+        if get_origin(current) is dict:
+            current = _value(current)
+            continue
         field = getattr(current, "model_fields", {}).get(step)
         current = field.annotation if field is not None else None
     return path, current
@@ -104,7 +113,8 @@ def spec_error(model: type[Spec], error: ValidationError) -> SpecError:
     lines: list[str] = []
     for item in error.errors(include_url=False):
         location = tuple(item["loc"])
-        field = ".".join(_walk(model, location)[0]) or "(the whole specification)"
+        path = [step for step in _walk(model, location)[0] if step != "[key]"]
+        field = ".".join(path) or "(the whole specification)"
         message = item["msg"]
         if item["type"] == "extra_forbidden":
             valid = sorted(getattr(_walk(model, location[:-1])[1], "model_fields", {}))
@@ -115,6 +125,9 @@ def spec_error(model: type[Spec], error: ValidationError) -> SpecError:
         given = item.get("input") if item["type"] not in ("missing", "json_invalid") else None
         value = given if isinstance(given, str | int | float | bool) else None
         problems.append({"field": field, "value": value, "message": message})
+        if any("." in step or "/" in step for step in path):
+            escaped = (step.replace("~", "~0").replace("/", "~1") for step in path)
+            problems[-1]["pointer"] = "/" + "/".join(escaped)
         lines.append(f"{field}{'' if value is None else f' = {value!r}'}: {message}")
     head = "the specification is not valid" if len(lines) == 1 else f"{len(lines)} fields are not valid"
     return SpecError(f"{head}: " + "; ".join(lines), problems=problems)

@@ -46,9 +46,14 @@ simulations = sa.Table(
     # The API key that posted it ("local", "admin" where there was none), and the identifier of that request.
     sa.Column("submitted_by", sa.String(32)),
     sa.Column("request_id", sa.String(128)),
+    # Of a case of a study: its place there, and its coordinates on the axes {column: value or label}.
+    sa.Column("study_id", sa.String(32), sa.ForeignKey("studies.id", name="simulations_of_study", ondelete="CASCADE")),
+    sa.Column("study_number", sa.Integer),
+    sa.Column("coordinates", sa.JSON(none_as_null=True)),
     sa.Index("simulations_by_age", "created", "id"),
     sa.Index("simulations_by_state", "state", "created"),
     sa.Index("simulations_by_key", "submitted_by", "created"),
+    sa.Index("simulations_by_study", "study_id", "study_number"),
 )
 
 events = sa.Table(

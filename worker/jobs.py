@@ -30,6 +30,9 @@ class Simulation(Leased):
     fraction: float
     message: str
     results: Json | None
+    study_id: str | None
+    study_number: int | None
+    coordinates: Json | None
 
 
 @dataclass(frozen=True)
@@ -55,9 +58,19 @@ class Jobs(Leases[Simulation]):
     what = "simulation"
     no_progress: ClassVar[Json] = {"stage": None, "stages_done": 0, "fraction": 0.0, "message": ""}
 
-    def create(self, specification: Json, estimate: Json, name: str = "", queue: Queue = DEFAULT_QUEUE) -> Simulation:
-        """A new queued simulation; its message is sent after this has returned."""
-        identifier = uuid.uuid4().hex
+    def create(
+        self,
+        specification: Json,
+        estimate: Json,
+        name: str = "",
+        queue: Queue = DEFAULT_QUEUE,
+        identifier: str | None = None,
+    ) -> Simulation:
+        """A new queued simulation; its message is sent after this has returned.
+
+        identifier: a new one where not given.
+        """
+        identifier = identifier or uuid.uuid4().hex
         row = {
             "id": identifier,
             "name": name,
@@ -80,9 +93,16 @@ class Jobs(Leases[Simulation]):
         """The manifest of a simulation that succeeded, else None. raises: NotFoundError"""
         return self._column(identifier, "manifest")  # type: ignore[no-any-return]
 
-    def page(self, limit: int, state: State | None = None, before: tuple[float, str] | None = None) -> list[Simulation]:
+    def page(
+        self,
+        limit: int,
+        state: State | None = None,
+        before: tuple[float, str] | None = None,
+        study_id: str | None = None,
+    ) -> list[Simulation]:
         """The newest simulations first; ``before``: (created, id) of the last one already seen."""
-        return self._page(limit, before, *([] if state is None else [simulations.c.state == state]))
+        asked = {simulations.c.state: state, simulations.c.study_id: study_id}
+        return self._page(limit, before, *(column == value for column, value in asked.items() if value is not None))
 
     def progress(self, identifier: str, owner: str, progress: StageProgress) -> bool:
         """Records progress and renews the lease; False where the job is not the owner's any more."""

@@ -127,14 +127,21 @@ class Leases(Generic[Row]):
 
     def retry(self, identifier: str) -> Row:
         """Queues a failed or cancelled row again. raises: NotFoundError, StateError"""
-        values = {**self.no_progress, **NO_OWNER, "state": "queued", "attempt": 0, "sent": None, "error": None}
-        values |= {"started": None, "finished": None}
         with self.engine.begin() as connection:
-            changed = self._change(connection, identifier, ["failed", "cancelled"], values)
+            changed = self._change(connection, identifier, ["failed", "cancelled"], self._queued_again())
             row = self._one(connection, identifier)
         if not changed:
             raise StateError(row.state)
         return row
+
+    def cancel_all(self, connection: sa.Connection, condition: sa.ColumnElement[bool]) -> int:
+        """Cancels every row that meets the condition and has not finished; how many."""
+        queued = self._change_all(connection, condition, ["queued"], self._final("cancelled"))
+        return queued + self._change_all(connection, condition, ["running"], {"state": "cancelling"})
+
+    def retry_all(self, connection: sa.Connection, condition: sa.ColumnElement[bool], states: Sequence[State]) -> int:
+        """Queues every row again that meets the condition and has ended in one of ``states``; how many."""
+        return self._change_all(connection, condition, states, self._queued_again())
 
     def delete(self, identifier: str) -> None:
         """Forgets a finished row. raises: NotFoundError, StateError"""
@@ -300,6 +307,10 @@ class Leases(Generic[Row]):
             self.table.c.state.in_(ACTIVE_STATES),
         )
 
+    def _queued_again(self) -> Json:
+        values: Json = {**self.no_progress, **NO_OWNER, "state": "queued", "attempt": 0, "sent": None, "error": None}
+        return values | {"started": None, "finished": None}
+
     def _final(self, state: State, **values: Any) -> Json:
         return {**NO_OWNER, "state": state, "finished": self.clock(), **values}
 
@@ -344,6 +355,36 @@ class Leases(Generic[Row]):
 
     def _ended(self, connection: sa.Connection, identifier: str) -> None:
         """Called in the transaction in which a row reaches a final state."""
+
+    def _change_all(
+        self, connection: sa.Connection, condition: sa.ColumnElement[bool], states: Sequence[State], values: Json
+    ) -> int:
+        """``_change`` of many rows in two statements; how many."""
+        table = self.table
+        changed = connection.execute(
+            table.update()
+            .where(condition, table.c.state.in_(states))
+            .values(revision=table.c.revision + 1, **values)
+            .returning(table.c.id, table.c.revision, table.c.attempt)
+        ).all()
+        now = self.clock()
+        rows = [
+            {
+                self._event_key.name: identifier,
+                "sequence": revision,
+                "at": now,
+                "kind": EVENT_STATE,
+                "data": {"state": values["state"], "attempt": attempt},
+            }
+            for identifier, revision, attempt in changed
+        ]
+        if rows:
+            # With RETURNING many rows go into one statement on every database.
+            connection.execute(self.events.insert().returning(self._event_key), rows)
+        if values["state"] in FINAL_STATES:
+            for identifier, _, _ in changed:
+                self._ended(connection, identifier)
+        return len(rows)
 
     def _record(self, connection: sa.Connection, identifier: str, sequence: int, kind: str, data: Json) -> None:
         event = {self._event_key.name: identifier, "sequence": sequence, "at": self.clock(), "kind": kind, "data": data}

@@ -9,6 +9,7 @@ import logging
 import threading
 
 from worker.fleet import Fleet
+from worker.idempotency import Idempotency
 from worker.jobs import Jobs, Simulation
 from worker.messages import Messenger
 from worker.settings import Settings
@@ -26,6 +27,7 @@ class Reaper:
         self.jobs = jobs
         self.fleet = fleet
         self.messenger = messenger
+        self.idempotency = Idempotency(jobs.engine, settings.idempotency_seconds)
         self._stopping = threading.Event()
         self._thread = threading.Thread(target=self._loop, name="reaper", daemon=True)
 
@@ -50,6 +52,7 @@ class Reaper:
                 log.warning("message was lost", extra={"simulation": job.id})
                 self._send(job)
         self.fleet.forget(FORGET_WORKERS_SECONDS)
+        self.idempotency.forget()
 
     def _send(self, job: Simulation) -> None:
         self.messenger.send(job.id, job.queue)

@@ -63,6 +63,8 @@ class Settings(BaseSettings):
     resend_seconds: float = Field(30.0, gt=0, description="a queued case without a message is sent again after [s]")
     sweep_seconds: float = Field(2.0, gt=0, description="interval of the sweep for lost cases [s]")
     body_limit_bytes: int = Field(1_000_000, gt=0, description="largest body of a request [byte]")
+    study_case_limit: int = Field(2000, ge=1, le=100_000, description="largest number of cases of a study")
+    idempotency_seconds: float = Field(24 * HOUR, gt=0, description="an Idempotency-Key is remembered for [s]")
     upload_limit_bytes: int = Field(4_000_000_000, gt=0, description="largest label volume that is uploaded [byte]")
     webhook_private_hosts: str = Field(
         "",

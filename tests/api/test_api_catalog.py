@@ -27,7 +27,7 @@ def test_a_preset_can_be_posted(client):
 
 def test_schemas(client, is_problem):
     assert client.get("/v1/schemas").json()["items"] == [
-        {"name": name, "href": f"/v1/schemas/{name}"} for name in ("simulation", "reading")
+        {"name": name, "href": f"/v1/schemas/{name}"} for name in ("simulation", "study", "reading")
     ]
     response = client.get("/v1/schemas/simulation")
     assert response.headers["content-type"] == "application/schema+json"

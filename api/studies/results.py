@@ -1,0 +1,173 @@
+"""/v1/studies/{id}/cases, /manifest, /archive, /events: what has become of the cases."""
+
+from __future__ import annotations
+
+import json
+import time
+from collections.abc import AsyncIterator, Iterator
+from datetime import UTC, datetime
+from typing import Annotated, Any, Literal
+
+import anyio
+from fastapi import APIRouter, Header, Query, Request, Response
+from fastapi.concurrency import run_in_threadpool
+from fastapi.responses import StreamingResponse
+from stream_zip import stream_zip
+
+from api import files, pages
+from api.artifacts import Member, check_stored, chosen_files, content_member, file_members, manifest_bytes
+from api.auth import Read
+from api.deps import Served, Services, StudyIdentifier
+from api.errors import ApiError
+from api.events import HEARTBEAT_SECONDS, RECONNECT_MILLISECONDS
+from api.studies import tables
+from api.studies.resources import CasePage, case_resource, study_resource
+from worker.contract import State
+from worker.jobs import NotFoundError
+from worker.studies import Studies, Study
+
+POLL_SECONDS = 1.0
+
+_ZIP: dict[int | str, dict[str, Any]] = {
+    200: {"content": {"application/zip": {"schema": {"type": "string", "format": "binary"}}}}
+}
+_MANIFEST: dict[int | str, dict[str, Any]] = {
+    200: {"content": {"application/json": {}, "text/csv": {"schema": {"type": "string"}}}}
+}
+
+router = APIRouter(prefix="/{identifier}")
+
+
+@router.get("/cases")
+def list_cases(
+    caller: Read,
+    identifier: StudyIdentifier,
+    served: Served,
+    request: Request,
+    response: Response,
+    state: Annotated[State | None, Query(description="only cases in this state")] = None,
+    limit: Annotated[int, Query(ge=1, le=1000)] = 100,
+    cursor: Annotated[str | None, Query(description="from the page before; anything else: 400 bad-cursor")] = None,
+) -> CasePage:
+    """Its cases with their coordinates, in the order of their numbers."""
+    served.studies.get(identifier)
+    after = int(pages.decode(cursor)[0]) if cursor is not None else 0
+    rows = served.studies.cases(identifier, limit + 1, state, after)
+    following = None
+    if len(rows) > limit:
+        following = pages.encode((float(rows[limit - 1].study_number or 0), identifier))
+        response.headers["Link"] = f'<{request.url.include_query_params(cursor=following)}>; rel="next"'
+    return CasePage(items=[case_resource(row) for row in rows[:limit]], next=following)
+
+
+@router.get("/manifest", response_class=Response, responses=_MANIFEST)
+def get_manifest(
+    caller: Read,
+    identifier: StudyIdentifier,
+    served: Served,
+    format: Annotated[Literal["json", "csv"] | None, Query(description="as Accept says where not given")] = None,
+    accept: Annotated[str | None, Header()] = None,
+) -> Response:
+    """All cases: coordinates, states, results, files with their digests (JSON); or one line a case (CSV)."""
+    row = served.studies.get(identifier)
+    if (format or tables.preferred(accept)) == "json":
+        body = manifest_json(served, row)
+        return StreamingResponse(body, media_type="application/json", headers={"Vary": "Accept"})
+    headers = {"Content-Disposition": f'attachment; filename="study-{identifier}.csv"', "Vary": "Accept"}
+    content = tables.csv_table(row, served.studies.cases(identifier))
+    return Response(content, media_type="text/csv; charset=utf-8", headers=headers)
+
+
+@router.get("/archive", response_class=StreamingResponse, responses=_ZIP)
+def get_archive(
+    caller: Read,
+    identifier: StudyIdentifier,
+    served: Served,
+    only: Annotated[
+        Literal["dicom", "mechanics", "preview"] | None, Query(description="files of this kind alone")
+    ] = None,
+) -> StreamingResponse:
+    """The files of the cases that have succeeded so far, one folder a case, as a zip archive made while it is sent."""
+    row = served.studies.get(identifier)
+    if not row.counts.get("succeeded"):
+        raise ApiError(409, "not-finished", f"no case of the study has succeeded yet; it is {row.state}")
+    for number, manifest in served.studies.manifests(identifier):
+        check_stored(served.store, chosen_files(manifest, only), f"{folder_name(number)}/")
+    return StreamingResponse(
+        stream_zip(_members(served, row, only), chunk_size=files.CHUNK_BYTES),
+        media_type="application/zip",
+        headers={"Content-Disposition": f'attachment; filename="study-{identifier}.zip"'},
+    )
+
+
+@router.get(
+    "/events",
+    response_class=StreamingResponse,
+    responses={200: {"content": {"text/event-stream": {}}}},
+)
+def events(caller: Read, identifier: StudyIdentifier, served: Served) -> StreamingResponse:
+    """An event ``study`` with state and counts now and after every change, until all cases have ended."""
+    served.studies.get(identifier)
+    return StreamingResponse(
+        _stream(served.studies, identifier),
+        media_type="text/event-stream",
+        headers={"Cache-Control": "no-store", "X-Accel-Buffering": "no"},
+    )
+
+
+def folder_name(number: int) -> str:
+    """The folder of a case in archives."""
+    return f"case-{number:04d}"
+
+
+def manifest_json(served: Services, study: Study) -> Iterator[str]:
+    """The manifest, case by case, so that a large one never is in memory as a whole."""
+    resource = study_resource(study, served.studies.document(study.id)).model_dump(mode="json")
+    head = json.dumps({"schema": "tomosim-study-manifest/1", "study": resource}, indent=1)
+    yield head.removesuffix("\n}") + ',\n "cases": ['
+    manifests = served.studies.manifests(study.id)
+    number, manifest = next(manifests, (0, {}))
+    for position, case in enumerate(served.studies.cases(study.id)):
+        entry = case_resource(case).model_dump(mode="json")
+        while number and number < entry["number"]:
+            number, manifest = next(manifests, (0, {}))
+        if number == entry["number"]:
+            entry |= {"folder": folder_name(number), "stages": _stages(manifest), "files": manifest["files"]}
+        yield (",\n  " if position else "\n  ") + json.dumps(entry)
+    yield "\n ]\n}\n"
+
+
+def _stages(manifest: dict[str, Any]) -> list[dict[str, Any]]:
+    wanted = ("name", "key", "cached", "seconds")
+    return [{name: stage[name] for name in wanted if name in stage} for stage in manifest.get("stages", ())]
+
+
+def _members(served: Services, study: Study, only: str | None) -> Iterator[Member]:
+    now = datetime.now(UTC)
+    yield content_member("manifest.json", "".join(manifest_json(served, study)).encode(), now)
+    yield content_member("manifest.csv", tables.csv_table(study, served.studies.cases(study.id)).encode(), now)
+    for number, manifest in served.studies.manifests(study.id):
+        folder = f"{folder_name(number)}/"
+        yield content_member(f"{folder}manifest.json", manifest_bytes(manifest), now)
+        yield from file_members(served.store, chosen_files(manifest, only), now, folder)
+
+
+async def _stream(studies: Studies, identifier: str) -> AsyncIterator[str]:
+    yield f"retry: {RECONNECT_MILLISECONDS}\n\n"
+    told = ""
+    spoke = time.monotonic()
+    while True:
+        try:
+            study = await run_in_threadpool(studies.get, identifier)
+        except NotFoundError:
+            return
+        data = json.dumps({"state": study.state, "counts": study.counts, "finished_cases": study.finished_cases})
+        if data != told:
+            told, spoke = data, time.monotonic()
+            yield f"event: study\ndata: {data}\n\n"
+        if study.is_final:
+            return
+        if time.monotonic() - spoke > HEARTBEAT_SECONDS:
+            spoke = time.monotonic()
+            yield ": still here\n\n"
+        await anyio.sleep(POLL_SECONDS)

@@ -1,0 +1,171 @@
+"""/v1/studies: post, look, cancel, retry, forget."""
+
+from __future__ import annotations
+
+import hashlib
+import logging
+from typing import Annotated, Any
+
+from fastapi import APIRouter, BackgroundTasks, Depends, Header, Query, Request, Response
+from fastapi.responses import JSONResponse
+
+from api import pages
+from api.auth import Read, Write
+from api.conditions import none_match
+from api.deps import Served, Services, StudyIdentifier, read_json
+from api.errors import ApiError
+from api.idempotency import IdempotentRoute, Making
+from api.simulations import RETRY_AFTER, send
+from api.studies.checking import check
+from api.studies.resources import StudyEstimate, StudyPage, StudyResource, study_path, study_resource
+from simcore.study import StudySpec, columns
+from worker.contract import State
+from worker.jobs import NotFoundError
+from worker.studies import Study
+
+log = logging.getLogger(__name__)
+
+SENT_AT_ONCE = 10
+"""Messages that follow the answer to a new study; the sweep sends the others, so that no request waits for them."""
+
+_BODY: dict[str, Any] = {
+    "requestBody": {
+        "required": True,
+        "content": {"application/json": {"schema": {"$ref": "#/components/schemas/StudySpec"}}},
+    }
+}
+
+router = APIRouter(prefix="/studies", tags=["studies"], route_class=IdempotentRoute)
+
+
+async def _posted_study(request: Request) -> StudySpec:
+    """raises: ApiError 413, 415; SpecError naming every wrong field"""
+    return StudySpec.parse(await read_json(request))
+
+
+PostedStudy = Annotated[StudySpec, Depends(_posted_study)]
+
+
+@router.post("", status_code=202, openapi_extra=_BODY)
+def create(
+    caller: Write,
+    study: PostedStudy,
+    served: Served,
+    making: Making,
+    request: Request,
+    response: Response,
+    background: BackgroundTasks,
+) -> StudyResource:
+    """Takes a study: all its cases are validated and queued, or none."""
+    row = _made_before(served, making.identifier) if making.again else None
+    if row is None:
+        checked = check(study, served)
+        served.store.require_space(checked.needs.storage_bytes)
+        document = study.model_dump(mode="json")
+        row = served.studies.create(
+            study.name,
+            document,
+            columns(study),
+            checked.needs.model_dump(),
+            checked.cases,
+            making.identifier,
+            caller.id,
+        )
+    background.add_task(_send_first, served, row.id)
+    response.headers.update({"Location": str(request.base_url).rstrip("/") + study_path(row.id), **RETRY_AFTER})
+    return study_resource(row, served.studies.document(row.id))
+
+
+@router.post("/estimate", openapi_extra=_BODY)
+def estimate_needs(caller: Read, study: PostedStudy, served: Served) -> StudyEstimate:
+    """What a study would need; nothing is kept."""
+    return check(study, served).needs
+
+
+@router.get("")
+def list_studies(
+    caller: Read,
+    served: Served,
+    request: Request,
+    response: Response,
+    limit: Annotated[int, Query(ge=1, le=200)] = 50,
+    cursor: Annotated[str | None, Query(description="from the page before; anything else: 400 bad-cursor")] = None,
+) -> StudyPage:
+    """Studies, the newest first."""
+    before = pages.decode(cursor) if cursor is not None else None
+    rows = served.studies.page(limit + 1, before)
+    following = None
+    if len(rows) > limit:
+        last = rows[limit - 1]
+        following = pages.encode((last.created, last.id))
+        response.headers["Link"] = f'<{request.url.include_query_params(cursor=following)}>; rel="next"'
+    return StudyPage(items=[study_resource(row) for row in rows[:limit]], next=following)
+
+
+@router.get("/{identifier}", response_model=StudyResource, responses={304: {"description": "not changed"}})
+def get_study(
+    caller: Read, identifier: StudyIdentifier, served: Served, if_none_match: Annotated[str | None, Header()] = None
+) -> Response:
+    """One study. Its entity tag changes with its counts."""
+    row = served.studies.get(identifier)
+    content = study_resource(row, served.studies.document(identifier)).model_dump(mode="json")
+    answer = JSONResponse(content)
+    tag = hashlib.sha256(bytes(answer.body)).hexdigest()[:32]
+    headers = {"ETag": f'W/"{tag}"', "Cache-Control": "no-cache"}
+    if not row.is_final:
+        headers |= RETRY_AFTER
+    if none_match(if_none_match, tag):
+        return Response(status_code=304, headers=headers)
+    answer.headers.update(headers)
+    return answer
+
+
+@router.post("/{identifier}/cancel", status_code=202)
+def cancel(caller: Write, identifier: StudyIdentifier, served: Served, response: Response) -> StudyResource:
+    """Stops all cases that have not finished."""
+    row, number = served.studies.cancel(identifier)
+    if number == 0 and row.is_final and row.state != "cancelled":
+        raise ApiError(409, "already-finished", f"the study has ended ({row.state}); there is nothing to cancel")
+    if not row.is_final:
+        response.headers.update(RETRY_AFTER)
+    return study_resource(row)
+
+
+@router.post("/{identifier}/retry", status_code=202)
+def retry(
+    caller: Write,
+    identifier: StudyIdentifier,
+    served: Served,
+    request: Request,
+    response: Response,
+    background: BackgroundTasks,
+    cancelled: Annotated[bool, Query(description="cancelled cases as well")] = False,
+) -> StudyResource:
+    """Queues the failed cases again; stages that finished are not computed again."""
+    states: list[State] = ["failed", "cancelled"] if cancelled else ["failed"]
+    row, number = served.studies.retry(identifier, states)
+    if number == 0:
+        raise ApiError(409, "nothing-to-retry", f"no case of the study is {' or '.join(states)}; it is {row.state}")
+    background.add_task(_send_first, served, row.id)
+    response.headers.update({"Location": str(request.base_url).rstrip("/") + study_path(row.id), **RETRY_AFTER})
+    return study_resource(row)
+
+
+@router.delete("/{identifier}", status_code=204)
+def delete(caller: Write, identifier: StudyIdentifier, served: Served) -> None:
+    """Forgets a study that has ended, and its cases. Stored stages stay: other cases may use them."""
+    if not served.studies.delete(identifier):
+        state = served.studies.get(identifier).state
+        raise ApiError(409, "not-finished", f"the study is {state}: cancel it first, or wait for its end")
+
+
+def _made_before(served: Services, identifier: str) -> Study | None:
+    try:
+        return served.studies.get(identifier)
+    except NotFoundError:
+        return None
+
+
+def _send_first(served: Services, identifier: str) -> None:
+    for case in served.studies.unsent(identifier, SENT_AT_ONCE):
+        send(served, case)
