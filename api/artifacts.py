@@ -65,7 +65,7 @@ def get_artifact(caller: Read, identifier: Identifier, name: str, served: Served
     refs = file_refs(finished_manifest(served, identifier))
     if name not in refs:
         raise ApiError(404, "artifact-not-found", f"the simulation has no file {name!r}")
-    return files.file_response(request, served.store.path(refs[name]), refs[name], name)
+    return files.file_response(request, served.store, refs[name], name)
 
 
 @router.get("/manifest")
@@ -135,7 +135,7 @@ def chosen_files(manifest: Json, only: str | None) -> dict[str, FileRef]:
 def check_stored(store: Store, refs: dict[str, FileRef], folder: str = "") -> None:
     """raises: ApiError 410 where a file is not in the store any more"""
     for name, ref in refs.items():
-        if not store.path(ref).exists():
+        if not store.has(ref):
             raise ApiError(410, "expired", f"{folder}{name} is not in the store any more: post the case again")
 
 
@@ -147,7 +147,7 @@ def content_member(name: str, content: bytes, when: datetime) -> Member:
 def file_members(store: Store, refs: dict[str, FileRef], when: datetime, folder: str = "") -> Iterator[Member]:
     """Stored files as files of an archive."""
     for name, ref in refs.items():
-        path = store.path(ref)
+        path = store.path(ref)  # on this machine: it is read twice
         checksum = 0
         for chunk in files.read_chunks(path):
             checksum = zlib.crc32(chunk, checksum)

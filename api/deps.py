@@ -20,6 +20,7 @@ from worker.jobs import Jobs, NotFoundError
 from worker.keys import Keys, check_address
 from worker.messages import CeleryMessenger, Messenger
 from worker.settings import Settings
+from worker.storage import open_store
 from worker.studies import Studies
 from worker.webhooks import Webhooks
 
@@ -56,7 +57,7 @@ class Services:
             Fleet(engine),
             keys,
             messenger or CeleryMessenger(settings),
-            Store(settings.store_folder),
+            open_store(settings),
         )
 
     @property

@@ -95,6 +95,8 @@ def from_simulation_error(error: SimulationError) -> ApiError:
         return ApiError(422, code, str(error), errors=[_problem_item(p) for p in error.problems], reason=error.code)
     if isinstance(error, StoreError) and error.code == "storage-full":
         return ApiError(507, "storage-full", str(error))
+    if isinstance(error, StoreError) and error.code == "store-unavailable":
+        return ApiError(503, error.code, str(error), headers={"Retry-After": "5"})
     return ApiError(500, error.code, str(error))
 
 

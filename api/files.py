@@ -13,7 +13,7 @@ from fastapi.responses import StreamingResponse
 
 from api.conditions import none_match
 from api.errors import ApiError
-from simcore.core.store import FileRef
+from simcore.core.store import FileRef, Store
 
 CHUNK_BYTES = 1 << 20
 
@@ -71,7 +71,7 @@ def byte_range(header: str | None, size: int) -> tuple[int, int] | None:
     return start, length
 
 
-def file_response(request: Request, path: Path, ref: FileRef, name: str) -> Response:
+def file_response(request: Request, store: Store, ref: FileRef, name: str) -> Response:
     """The answer to GET or HEAD of a stored file.
 
     raises: ApiError 410 where it is not in the store any more, 416
@@ -85,7 +85,7 @@ def file_response(request: Request, path: Path, ref: FileRef, name: str) -> Resp
     }
     if none_match(request.headers.get("if-none-match"), ref.sha256):
         return Response(status_code=304, headers=headers)
-    if not path.exists():
+    if not store.has(ref):
         raise ApiError(410, "expired", f"{name} is not in the store any more: post the case again to make it anew")
     shown = "inline" if kind.startswith("image/") else "attachment"
     headers["Content-Disposition"] = f"{shown}; {_file_name(name)}"
@@ -100,7 +100,7 @@ def file_response(request: Request, path: Path, ref: FileRef, name: str) -> Resp
         headers["Content-Range"] = f"bytes {start}-{start + length - 1}/{ref.size}"
     if request.method == "HEAD":
         return Response(status_code=status, headers=headers, media_type=kind)
-    return StreamingResponse(read_chunks(path, start, length), status, headers, media_type=kind)
+    return StreamingResponse(store.stream(ref, start, length), status, headers, media_type=kind)
 
 
 def _file_name(name: str) -> str:

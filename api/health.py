@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import logging
-import os
 import shutil
 from collections.abc import Callable
 
@@ -87,8 +86,7 @@ def _broker(served: Services) -> None:
 
 def _storage(served: Services) -> None:
     served.store.require_space(0)
-    if not os.access(served.store.root / "tmp", os.W_OK):
-        raise PermissionError(f"{served.store.root} cannot be written")
+    served.store.check()
 
 
 def _worker(served: Services) -> None:

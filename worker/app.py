@@ -15,7 +15,6 @@ from typing import Any
 from celery import Celery, signals
 from sqlalchemy.exc import SQLAlchemyError
 
-from simcore.core.store import Store
 from worker import logs, schema
 from worker.contract import QUEUES, TASK_SIMULATE
 from worker.database import connect
@@ -23,6 +22,7 @@ from worker.fleet import BEAT_SECONDS, Fleet
 from worker.jobs import Jobs
 from worker.messages import create_celery
 from worker.settings import Settings
+from worker.storage import open_store
 from worker.supervisor import Slots
 
 log = logging.getLogger(__name__)
@@ -46,7 +46,7 @@ class Worker:
         """Works until SIGTERM or SIGINT; the exit code."""
         signals.worker_ready.connect(self._ready, weak=False)
         signals.worker_shutting_down.connect(self._shutting_down, weak=False)
-        Store(self.settings.store_folder).sweep_temporary()
+        open_store(self.settings).sweep_temporary()
         options = [
             "--quiet",
             "worker",

@@ -28,6 +28,7 @@ from simcore.core.store import Store
 from simcore.spec import SimulationSpec
 from worker.contract import INTERNAL_ERROR, OUT_OF_MEMORY
 from worker.settings import Settings
+from worker.storage import open_store
 from worker.tether import die_with_parent
 
 MIN_INTERVAL_SECONDS = 0.5
@@ -89,10 +90,10 @@ def main() -> None:
     _limit_memory(settings.memory_limit)
     try:
         run, stages = _pipeline(settings.pipeline)
-        store = Store(settings.store_folder)
+        store = open_store(settings)
     except Exception as error:  # said to the supervisor, which reports it as the failure of the next case
         traceback.print_exc()
-        messages.send("failed", error=_unexpected(error))
+        messages.send("failed", error=error.to_dict() if isinstance(error, SimulationError) else _unexpected(error))
         sys.exit(1)
     messages.send("ready", stages=stages)
     for line in commands:

@@ -10,10 +10,12 @@ from functools import cached_property
 from pathlib import Path
 from typing import Literal, Self
 
+import sqlalchemy as sa
 from pydantic import Field, SecretStr, ValidationError, field_validator, model_validator
 from pydantic_settings import BaseSettings, SettingsConfigDict
 
-from simcore.core.errors import SimulationError
+from simcore.core.bucket import Location
+from simcore.core.errors import SimulationError, StoreError
 from simcore.core.memory import physical_bytes
 
 ENV_PREFIX = "TOMOSIM_"
@@ -24,6 +26,10 @@ MAX_SOCKET_PATH = 100
 HOUR = 3600.0
 
 MIN_SECRET_LENGTH = 32
+
+
+SECRETS = ("database_url", "database_password", "broker_url", "store_access_key", "store_secret_key")
+"""Settings that may lie in a file, named by the variable with _FILE at its end."""
 
 
 class SettingsError(SimulationError):
@@ -40,6 +46,7 @@ class Settings(BaseSettings):
 
     data_folder: Path = Field(Path("data"), description="database, stage store and broker files lie below it")
     database_url: str = Field("", description="SQLAlchemy URL; empty: SQLite in the data folder")
+    database_password: str = Field("", repr=False, description="put into the database URL, so that it can be a file")
     broker_url: str = Field("", description="Celery broker URL; empty: a broker of its own, in the data folder")
     host: str = Field("127.0.0.1", description="address the API binds to")
     port: int = Field(8080, ge=1, le=65535, description="port the API binds to")
@@ -52,6 +59,18 @@ class Settings(BaseSettings):
         SecretStr(""), description="an API key that may do everything, of at least 32 characters; empty: none"
     )
     admin_key_file: str = Field("", description="a file that holds this key instead")
+    store_url: str = Field(
+        "", description="s3://bucket/prefix: the stage store of several machines; empty: a folder in the data folder"
+    )
+    store_endpoint: str = Field("", description="URL of the S3-compatible service; empty: AWS")
+    store_access_key: str = Field("", description="empty: the credentials that boto3 finds (AWS_...)")
+    store_secret_key: str = Field("", repr=False, description="belongs to the access key")
+    store_cache_bytes: int = Field(
+        50_000_000_000, gt=0, description="what a machine keeps of an S3 store, besides what is in use [byte]"
+    )
+    min_free_bytes: int = Field(
+        1 << 30, ge=0, description="no stage is started, no case or phantom taken, with less free space [byte]"
+    )
     worker_slots: int = Field(1, ge=1, le=64, description="cases one worker computes at a time")
     threads_per_slot: int = Field(0, ge=0, le=1024, description="threads of a case; 0: cores / worker slots")
     memory_limit_bytes: int = Field(
@@ -95,6 +114,17 @@ class Settings(BaseSettings):
             )
         return self
 
+    @model_validator(mode="after")
+    def _check_store(self) -> Self:
+        if self.store_url:
+            try:
+                _ = Location(self.store_url).bucket
+            except StoreError as error:
+                raise ValueError(f"TOMOSIM_STORE_URL = {error}") from None
+        if bool(self.store_access_key) != bool(self.store_secret_key):
+            raise ValueError("TOMOSIM_STORE_ACCESS_KEY and TOMOSIM_STORE_SECRET_KEY: both are needed, or none")
+        return self
+
     @classmethod
     def load(cls, **changes: object) -> Settings:
         """Settings of this environment, some of them changed.
@@ -102,7 +132,7 @@ class Settings(BaseSettings):
         raises: SettingsError naming the environment variable, its value and what is allowed.
         """
         try:
-            return cls(**changes)  # type: ignore[arg-type]
+            return cls(**{**_from_files(), **changes})  # type: ignore[arg-type]
         except ValidationError as error:
             raise SettingsError("; ".join(_problem(item) for item in error.errors())) from None
 
@@ -135,7 +165,10 @@ class Settings(BaseSettings):
 
     @property
     def resolved_database_url(self) -> str:
-        return self.database_url or f"sqlite:///{self.data_folder / 'tomosim.db'}"
+        if not (self.database_url and self.database_password):
+            return self.database_url or f"sqlite:///{self.data_folder / 'tomosim.db'}"
+        url = sa.make_url(self.database_url).set(password=self.database_password)
+        return url.render_as_string(hide_password=False)
 
     @property
     def resolved_broker_url(self) -> str:
@@ -167,6 +200,23 @@ class Settings(BaseSettings):
         values = self.model_dump(mode="json")
         values["admin_key"] = self.admin_key.get_secret_value()
         return {ENV_PREFIX + name.upper(): str(value) for name, value in values.items()}
+
+
+def _from_files() -> dict[str, str]:
+    """Secrets that lie in files: TOMOSIM_DATABASE_PASSWORD_FILE names the file of TOMOSIM_DATABASE_PASSWORD.
+
+    raises: SettingsError where one cannot be read
+    """
+    found = {}
+    for name in SECRETS:
+        variable = ENV_PREFIX + name.upper()
+        path = os.environ.get(f"{variable}_FILE")
+        if path and not os.environ.get(variable):
+            try:
+                found[name] = Path(path).read_text().strip()
+            except (OSError, UnicodeDecodeError) as error:
+                raise SettingsError(f"{variable}_FILE = {path!r} cannot be read: {error}") from None
+    return found
 
 
 def is_loopback(host: str) -> bool:

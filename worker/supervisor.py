@@ -15,11 +15,11 @@ from typing import Any
 
 from sqlalchemy.exc import SQLAlchemyError
 
-from simcore.core.store import Store
 from worker.compute_process import ComputeDiedError, ComputeProcess
 from worker.contract import INTERNAL_ERROR, OUT_OF_MEMORY, TIMEOUT, State
 from worker.jobs import Jobs, Simulation, StageProgress
 from worker.settings import Settings
+from worker.storage import open_store
 
 log = logging.getLogger(__name__)
 
@@ -45,7 +45,7 @@ class Slot:
         self.settings = settings
         self.jobs = jobs
         self.stopping = stopping
-        self._store = Store(settings.store_folder)
+        self._store = open_store(settings)
         self._process: ComputeProcess | None = None
         self._claims = 0
 

@@ -3,7 +3,12 @@
     objects/ab/<sha256>      immutable files, named by the digest of their content
     stages/ab/<key>.json     what a stage made: {output name: digest, size}, report, seconds, peak memory
     locks/<key>              one computation per key, however many processes ask
+    in-use                   lock between using and removing
     tmp/                     where results are written before they are whole
+    <folder>/<name>          documents of others, such as the notes of uploaded phantoms
+
+A record counts as used when it was made or last asked for, an object when it was last written: what was used lately
+is never removed, and ``_in_use`` keeps using and removing apart.
 
 key = sha256(canonical JSON of stage, stage version, parameters, digests of the inputs). A file becomes visible by
 rename after it is whole and on disk, so a kill at any moment leaves the store as it was or one stage richer.
@@ -32,6 +37,10 @@ MIN_FREE_BYTES = 1 << 30
 """A stage is not started where the disk has less free space than this."""
 
 
+PIECE_BYTES = 1 << 20
+"""Content is streamed in pieces of this size."""
+
+
 def canonical(data: Any) -> bytes:
     """JSON with sorted keys and no spaces: the same data gives the same bytes. NaN and infinity are refused."""
     return json.dumps(data, sort_keys=True, separators=(",", ":"), ensure_ascii=False, allow_nan=False).encode()
@@ -54,6 +63,15 @@ class FileRef:
 
     sha256: str
     size: int
+
+
+@dataclass(frozen=True)
+class Stored:
+    """A record (name: its key) or an object (name: its digest) of the store. used: when last, seconds since 1970."""
+
+    name: str
+    size: int
+    used: float
 
 
 @dataclass(frozen=True)
@@ -92,7 +110,15 @@ def _sync_folder(path: Path) -> None:
         os.close(fd)
 
 
-def _workspace_prefix(process: int) -> str:
+def _stored(folder: Path, suffix: str) -> Iterator[Stored]:
+    for path in folder.glob(f"??/*{suffix}"):
+        with contextlib.suppress(FileNotFoundError):
+            found = path.stat()
+            yield Stored(path.name.removesuffix(suffix), found.st_size, found.st_mtime)
+
+
+def workspace_prefix(process: int) -> str:
+    """What the names of all that a process of this machine has for a while begin with."""
     return f"{socket.gethostname()}-{process}-"
 
 
@@ -109,24 +135,44 @@ class Store:
             raise StoreError(f"the store folder {self.root} cannot be made: {error.strerror}") from error
 
     def path(self, ref: FileRef) -> Path:
-        """Where the content lies."""
-        return self.root / "objects" / ref.sha256[:2] / ref.sha256
+        """Where the content lies on this machine."""
+        return self._local(ref)
+
+    def has(self, ref: FileRef) -> bool:
+        """Whether the content is there and whole in size."""
+        return self._is_local(ref)
+
+    def stream(self, ref: FileRef, start: int = 0, length: int | None = None) -> Iterator[bytes]:
+        """The content from byte ``start`` on, piece by piece."""
+        left = ref.size - start if length is None else length
+        with open(self.path(ref), "rb") as f:
+            f.seek(start)
+            while left > 0 and (piece := f.read(min(PIECE_BYTES, left))):
+                left -= len(piece)
+                yield piece
+
+    def check(self) -> None:
+        """raises: StoreError where nothing can be stored."""
+        if not os.access(self.root / "tmp", os.W_OK):
+            raise StoreError(f"{self.root} cannot be written")
 
     def get(self, key: str) -> StageRecord | None:
         """The record of ``key``, or None where it was never made or one of its files is gone or cut short."""
+        with self._in_use():
+            record = self.record(key)
+            if record is None or not all(map(self.has, record.outputs.values())):
+                return None
+            os.utime(self._record_path(key))
+        return record
+
+    def record(self, key: str) -> StageRecord | None:
+        """As ``get``, without looking for the files, and without counting as use."""
         try:
-            record = StageRecord.from_json(self._record_path(key).read_bytes())
+            return StageRecord.from_json(self._record_path(key).read_bytes())
         except FileNotFoundError:
             return None
         except (ValueError, TypeError, KeyError):
             return None  # an unreadable record is recomputed, not trusted
-        for ref in record.outputs.values():
-            try:
-                if self.path(ref).stat().st_size != ref.size:
-                    return None
-            except FileNotFoundError:
-                return None
-        return record
 
     @contextlib.contextmanager
     def lock(self, key: str) -> Iterator[None]:
@@ -139,7 +185,7 @@ class Store:
     def workspace(self) -> Iterator[Path]:
         """A fresh folder on the disk of the store, removed at the end."""
         self.require_space(0)
-        folder = Path(tempfile.mkdtemp(prefix=_workspace_prefix(os.getpid()), dir=self.root / "tmp"))
+        folder = Path(tempfile.mkdtemp(prefix=workspace_prefix(os.getpid()), dir=self.root / "tmp"))
         try:
             yield folder
         except OSError as error:
@@ -165,12 +211,13 @@ class Store:
     def add(self, path: Path) -> FileRef:
         """Moves a file of the same disk into the store."""
         ref = FileRef(file_digest(path), path.stat().st_size)
-        target = self.path(ref)
+        target = self._local(ref)
         target.parent.mkdir(exist_ok=True)
-        if target.exists() and target.stat().st_size == ref.size:
-            path.unlink()
-            os.utime(target)
-            return ref
+        with self._in_use():
+            if self._is_local(ref):
+                path.unlink()
+                os.utime(target)
+                return ref
         with open(path, "rb") as f:
             os.fsync(f.fileno())
         path.chmod(0o444)
@@ -226,27 +273,88 @@ class Store:
 
     def remove_workspaces(self, process: int) -> None:
         """Removes what a process of this machine left in tmp/; for whoever has just killed it."""
-        for p in (self.root / "tmp").glob(_workspace_prefix(process) + "*"):
+        for p in (self.root / "tmp").glob(workspace_prefix(process) + "*"):
             shutil.rmtree(p, ignore_errors=True)
 
     def sweep_temporary(self, older_than_seconds: float = 24 * 3600) -> None:
-        """Removes what killed runs left in tmp/."""
+        """Removes what killed runs left in tmp/, and locks that nobody has waited for since then."""
         import time
 
-        for p in (self.root / "tmp").iterdir():
+        for p in (*(self.root / "tmp").iterdir(), *(self.root / "locks").iterdir()):
             with contextlib.suppress(OSError):
                 if time.time() - p.stat().st_mtime > older_than_seconds:
                     shutil.rmtree(p, ignore_errors=True) if p.is_dir() else p.unlink()
+
+    def write_document(self, folder: str, name: str, content: bytes) -> None:
+        """Keeps a small document, replacing the one of this name."""
+        self._write(self.root / folder / name, content)
+
+    def read_document(self, folder: str, name: str) -> bytes | None:
+        """A document, or None where there is none of this name."""
+        try:
+            return (self.root / folder / name).read_bytes()
+        except FileNotFoundError:
+            return None
+
+    def documents(self, folder: str) -> list[str]:
+        """The names of all documents of a folder, sorted."""
+        return sorted(p.name for p in (self.root / folder).glob("*"))
+
+    # What a collection of garbage works with
+
+    def records(self) -> Iterator[Stored]:
+        """Every stage record."""
+        return _stored(self.root / "stages", ".json")
+
+    def objects(self) -> Iterator[Stored]:
+        """Every object."""
+        return _stored(self.root / "objects", "")
+
+    def remove_record(self, key: str, unused_since: float) -> bool:
+        """Removes a record that was not used since then; whether it is gone."""
+        return self._remove(self._record_path(key), unused_since)
+
+    def remove_object(self, sha256: str, unused_since: float) -> bool:
+        """Removes an object that was not written since then; whether it is gone. For what no record names."""
+        return self._remove(self._local(FileRef(sha256, 0)), unused_since)
+
+    def _remove(self, path: Path, unused_since: float) -> bool:
+        with self._in_use(fcntl.LOCK_EX):
+            try:
+                if path.stat().st_mtime >= unused_since:
+                    return False
+                path.unlink()
+            except FileNotFoundError:
+                pass
+        return True
+
+    @contextlib.contextmanager
+    def _in_use(self, how: int = fcntl.LOCK_SH) -> Iterator[None]:
+        """What is found inside is not removed before it is marked as used."""
+        with open(self.root / "in-use", "w") as f:
+            fcntl.flock(f, how)
+            yield
+
+    def _local(self, ref: FileRef) -> Path:
+        return self.root / "objects" / ref.sha256[:2] / ref.sha256
+
+    def _is_local(self, ref: FileRef) -> bool:
+        try:
+            return self._local(ref).stat().st_size == ref.size
+        except FileNotFoundError:
+            return False
 
     def _record_path(self, key: str) -> Path:
         return self.root / "stages" / key[:2] / f"{key}.json"
 
     def _write_record(self, record: StageRecord) -> None:
-        target = self._record_path(record.key)
+        self._write(self._record_path(record.key), canonical(asdict(record)))
+
+    def _write(self, target: Path, content: bytes) -> None:
         target.parent.mkdir(exist_ok=True)
         fd, name = tempfile.mkstemp(dir=self.root / "tmp")
         with os.fdopen(fd, "wb") as f:
-            f.write(canonical(asdict(record)))
+            f.write(content)
             f.flush()
             os.fsync(f.fileno())
         Path(name).replace(target)

@@ -100,3 +100,35 @@ def test_every_setting_is_described():
 def test_data_folder_is_absolute(make_settings, monkeypatch, tmp_path):
     monkeypatch.chdir(tmp_path)
     assert make_settings(data_folder=Path("here")).data_folder == tmp_path / "here"
+
+
+def test_secrets_lie_in_files(make_settings, monkeypatch, tmp_path):
+    (tmp_path / "password").write_text("p@ss/word\n")
+    monkeypatch.setenv("TOMOSIM_DATABASE_PASSWORD_FILE", str(tmp_path / "password"))
+    settings = make_settings(database_url="postgresql://me@db/tomosim")
+    assert settings.resolved_database_url == "postgresql://me:p%40ss%2Fword@db/tomosim"
+    assert "p@ss" not in repr(settings)
+    # A child has it in its environment, which wins over the file.
+    (tmp_path / "password").unlink()
+    for name, value in settings.environment().items():
+        monkeypatch.setenv(name, value)
+    assert Settings.load().resolved_database_url == settings.resolved_database_url
+
+
+def test_a_secret_without_its_file(make_settings, monkeypatch):
+    monkeypatch.setenv("TOMOSIM_STORE_SECRET_KEY_FILE", "/nowhere/secret")
+    with pytest.raises(SettingsError, match=r"TOMOSIM_STORE_SECRET_KEY_FILE = '/nowhere/secret'"):
+        make_settings()
+
+
+@pytest.mark.parametrize(
+    ("wrong", "said"),
+    [
+        ({"store_url": "/data/store"}, r"TOMOSIM_STORE_URL.*'/data/store'.*s3://bucket"),
+        ({"store_url": "s3://B"}, "TOMOSIM_STORE_URL"),
+        ({"store_access_key": "key"}, "TOMOSIM_STORE_SECRET_KEY"),
+    ],
+)
+def test_a_wrong_store_is_refused(make_settings, wrong, said):
+    with pytest.raises(SettingsError, match=said):
+        make_settings(**wrong)

@@ -7,10 +7,8 @@ phantoms/<sha256>.json     the note; as long as it is there the object is in use
 from __future__ import annotations
 
 import json
-import os
 import re
 import shutil
-import tempfile
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import IO, Any
@@ -95,15 +93,15 @@ def is_digest(text: str) -> bool:
 def get(store: Store, sha256: str) -> Upload | None:
     """The note of an upload, or None where there is none or its file is gone."""
     try:
-        found = Upload(**json.loads(_note(store, sha256).read_bytes()))
-        return found if store.path(found.ref).stat().st_size == found.size else None
-    except (FileNotFoundError, ValueError, TypeError):
+        found = Upload(**json.loads(store.read_document(FOLDER, f"{sha256}.json") or b"{}"))
+    except (ValueError, TypeError):
         return None
+    return found if store.has(found.ref) else None
 
 
 def uploads(store: Store) -> list[Upload]:
     """All uploads, by digest."""
-    found = (get(store, path.stem) for path in sorted((store.root / FOLDER).glob("*.json")))
+    found = (get(store, name.removesuffix(".json")) for name in store.documents(FOLDER))
     return [upload for upload in found if upload is not None]
 
 
@@ -159,20 +157,5 @@ def _add(store: Store, path: Path, name: str, reading: Reading, axes: Axes | Non
     values = {str(value): count for value, count in found.values.items()}
     part = phantom.with_(sha256=ref.sha256).model_dump(mode="json")
     upload = Upload(ref.sha256, ref.size, name, header.format, values, part)
-    _write_note(store, upload)
+    store.write_document(FOLDER, f"{upload.sha256}.json", canonical(asdict(upload)))
     return upload
-
-
-def _note(store: Store, sha256: str) -> Path:
-    return store.root / FOLDER / f"{sha256}.json"
-
-
-def _write_note(store: Store, upload: Upload) -> None:
-    target = _note(store, upload.sha256)
-    target.parent.mkdir(exist_ok=True)
-    descriptor, name = tempfile.mkstemp(dir=store.root / "tmp")
-    with os.fdopen(descriptor, "wb") as file:
-        file.write(canonical(asdict(upload)))
-        file.flush()
-        os.fsync(file.fileno())
-    Path(name).replace(target)
