@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 from fastapi import APIRouter
 from fastapi.responses import JSONResponse
 from pydantic import BaseModel
 
 from api.auth import Read
+from api.catalog_resources import Limits, Listing, PresetList, PresetResource, ServiceInfo
 from api.deps import Served
 from api.errors import ApiError
 from api.resources import PREFIX
@@ -22,51 +21,6 @@ from worker.contract import QUEUES, STATES
 router = APIRouter(tags=["catalog"])
 
 SCHEMAS: dict[str, type[BaseModel]] = {"simulation": SimulationSpec, "study": StudySpec, "reading": Reading}
-
-
-class PresetResource(BaseModel):
-    """A ready specification."""
-
-    name: str
-    description: str
-    href: str
-    specification: dict[str, Any] | None = None
-
-
-class Listing(BaseModel):
-    """Things with names."""
-
-    items: list[dict[str, str]]
-
-
-class PresetList(BaseModel):
-    """All presets, without their specifications."""
-
-    items: list[PresetResource]
-
-
-class Limits(BaseModel):
-    """What is refused beyond."""
-
-    memory_bytes: int
-    body_bytes: int
-    upload_bytes: int
-    seconds: float
-    attempts: int
-    study_cases: int
-
-
-class ServiceInfo(BaseModel):
-    """What answers here."""
-
-    name: str
-    version: str
-    api_version: str
-    states: list[str]
-    queues: list[str]
-    limits: Limits
-    threads_per_case: int
-    links: dict[str, str]
 
 
 @router.get("/presets")

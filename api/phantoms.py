@@ -7,12 +7,11 @@ from typing import IO, Annotated, Any
 
 from fastapi import APIRouter, Depends, Query, Request, Response
 from fastapi.concurrency import run_in_threadpool
-from pydantic import BaseModel, Field
 
 from api.auth import Read, Write
 from api.deps import Served, services
 from api.errors import ApiError
-from api.resources import PREFIX
+from api.phantom_resources import PhantomList, PhantomResource, phantom_path, phantom_resource
 from simcore.phantom.upload import registry
 from simcore.phantom.upload.reading import Reading
 
@@ -27,26 +26,6 @@ _BODY: dict[str, Any] = {
         "content": {MEDIA_TYPE: {"schema": {"type": "string", "format": "binary"}}},
     }
 }
-
-
-class PhantomResource(BaseModel):
-    """A label volume in the store."""
-
-    sha256: str = Field(
-        description="digest of the stored file: that of the body, or where raw voxels got a header, of both"
-    )
-    name: str
-    size: int = Field(description="[byte]")
-    format: str
-    values: dict[str, int] = Field(description="voxels of every value")
-    specification: dict[str, Any] = Field(description="to be posted to /v1/simulations, with whatever else is wanted")
-    links: dict[str, str]
-
-
-class PhantomList(BaseModel):
-    """All label volumes in the store."""
-
-    items: list[PhantomResource]
 
 
 def _reading(
@@ -104,23 +83,6 @@ def get_phantom(caller: Read, sha256: str, served: Served) -> PhantomResource:
     if upload is None:
         raise ApiError(404, "phantom-not-found", f"there is no phantom {sha256[:100]!r}")
     return phantom_resource(upload)
-
-
-def phantom_path(sha256: str) -> str:
-    return f"{PREFIX}/phantoms/{sha256}"
-
-
-def phantom_resource(upload: registry.Upload) -> PhantomResource:
-    """The document of an upload."""
-    return PhantomResource(
-        sha256=upload.sha256,
-        name=upload.name,
-        size=upload.size,
-        format=upload.format,
-        values=upload.values,
-        specification={"phantom": upload.phantom},
-        links={"self": phantom_path(upload.sha256), "simulations": f"{PREFIX}/simulations"},
-    )
 
 
 async def _receive(request: Request, target: Path, limit: int) -> None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from datetime import UTC, datetime
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal
 
 from pydantic import BaseModel, Field
 
@@ -31,7 +31,9 @@ class ProgressResource(BaseModel):
 class FailureResource(BaseModel):
     """Why a case failed."""
 
-    kind: str = Field(description="user: change the specification; simulation: the numerics failed; system: retry")
+    kind: Literal["user", "simulation", "system"] = Field(
+        description="user: change the specification; simulation: the numerics failed; system: retry"
+    )
     code: str = Field(description="stable, machine-readable")
     message: str
     problems: list[dict[str, Any]] = []

@@ -213,22 +213,21 @@ def _submit(args: argparse.Namespace) -> int:
     spec = _read_spec(args.spec)
     with Client(args.url) as client:
         case = client.submit(spec)
-        print(f"{client.url}/v1/simulations/{case['id']}", flush=True)
+        print(f"{client.url}{case.links['self']}", flush=True)
         if not (args.wait or args.out):
             return 0
         try:
             with StageDisplay() as display:
-                case = client.wait(case["id"], display.show_resource)
+                case = client.wait(case.id, display.show_event)
         except KeyboardInterrupt:
-            print(f"tomosim: the case goes on; cancel it with POST .../{case['id']}/cancel", file=sys.stderr)
+            print(f"tomosim: the case goes on; cancel it with POST .../{case.id}/cancel", file=sys.stderr)
             raise
-        if case["state"] != "succeeded":
-            error: dict[str, Any] = case.get("error") or {"message": f"the case was {case['state']}"}
-            print(f"tomosim: {error['message']}", file=sys.stderr)
-            return EXIT_CODES.get(str(error.get("kind")), EXIT_CODES["system"])
+        if case.state != "succeeded":
+            print(f"tomosim: {case.error.message if case.error else f'the case was {case.state}'}", file=sys.stderr)
+            return EXIT_CODES[case.error.kind if case.error else "system"]
         if args.out:
-            for name, size in client.download(case["id"], args.out):
-                print(f"{name}  {size} bytes", file=sys.stderr)
+            for file in client.download(case.id, args.out):
+                print(f"{file.name}  {'was there' if file.kept else f'{file.size} bytes'}", file=sys.stderr)
             print(f"files in {args.out}", file=sys.stderr)
     return 0
 

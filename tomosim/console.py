@@ -5,10 +5,13 @@ from __future__ import annotations
 import sys
 import time
 from types import TracebackType
-from typing import Any, Self, TextIO
+from typing import TYPE_CHECKING, Self, TextIO
 
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TaskID, TextColumn, TimeElapsedColumn
+
+if TYPE_CHECKING:
+    from tomosim.client.streams import CaseEvent
 
 
 class StageDisplay:
@@ -65,13 +68,16 @@ class StageDisplay:
         elif first:
             self._line(f"{stage}: {message}")
 
-    def show_resource(self, case: dict[str, Any]) -> None:
-        """Shows the progress in a simulation resource of the service."""
-        progress = case.get("progress") or {}
-        if progress.get("stage"):
-            done = case["state"] == "succeeded"
-            fraction = 1.0 if done else float(progress.get("fraction", 0.0))
-            self(progress["stage"], fraction, "done" if done else progress.get("message") or case["state"])
+    def show_event(self, event: CaseEvent) -> None:
+        """Shows an event of a case that a service runs."""
+        data = event.data
+        if event.kind == "progress":
+            cached = data["message"] == "from the store"
+            self(data["stage"], float(data["fraction"]), data["message"], cached=cached)
+        elif data.get("state") == "queued" and data.get("attempt"):
+            reason = (data.get("reason") or {}).get("message", "its worker was lost or stopped")
+            self._line(f"queued again after attempt {data['attempt']}: {reason}")
+            self._finished.clear()
 
     def _line(self, text: str) -> None:
         print(text, file=self._stream, flush=True)

@@ -64,15 +64,14 @@ def _wait_until_ready(service: subprocess.Popen[bytes], url: str) -> None:
 def _run_case(url: str, preset: str, out: Path) -> str:
     with Client(url) as client:
         case = client.submit(presets.get(preset))
-        print(f"posted {preset} to {url}/v1/simulations/{case['id']}", flush=True)
+        print(f"posted {preset} to {url}{case.links['self']}", flush=True)
         with StageDisplay() as display:
-            case = client.wait(case["id"], display.show_resource)
-        if case["state"] != "succeeded":
-            error = case.get("error") or {}
-            raise ServiceError(f"the case was {case['state']}: {error.get('message', '')}")
-        size = sum(n for _, n in client.download(case["id"], out))
+            case = client.wait(case.id, display.show_event)
+        if case.state != "succeeded":
+            raise ServiceError(f"the case was {case.state}: {case.error.message if case.error else ''}")
+        size = sum(file.size for file in client.download(case.id, out))
         print(f"{size / 1e6:.0f} MB downloaded to {out}/", flush=True)
-        return str(case["id"])
+        return case.id
 
 
 def _say_where_to_look(url: str, case_id: str, out: Path) -> None:

@@ -1,0 +1,49 @@
+"""What clients see of label volumes. Imported by clients: no server, no database."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+from pydantic import BaseModel, Field
+
+from api.resources import PREFIX
+
+if TYPE_CHECKING:
+    from simcore.phantom.upload import registry
+
+
+class PhantomResource(BaseModel):
+    """A label volume in the store."""
+
+    sha256: str = Field(
+        description="digest of the stored file: that of the body, or where raw voxels got a header, of both"
+    )
+    name: str
+    size: int = Field(description="[byte]")
+    format: str
+    values: dict[str, int] = Field(description="voxels of every value")
+    specification: dict[str, Any] = Field(description="to be posted to /v1/simulations, with whatever else is wanted")
+    links: dict[str, str]
+
+
+class PhantomList(BaseModel):
+    """All label volumes in the store."""
+
+    items: list[PhantomResource]
+
+
+def phantom_path(sha256: str) -> str:
+    return f"{PREFIX}/phantoms/{sha256}"
+
+
+def phantom_resource(upload: registry.Upload) -> PhantomResource:
+    """The document of an upload."""
+    return PhantomResource(
+        sha256=upload.sha256,
+        name=upload.name,
+        size=upload.size,
+        format=upload.format,
+        values=upload.values,
+        specification={"phantom": upload.phantom},
+        links={"self": phantom_path(upload.sha256), "simulations": f"{PREFIX}/simulations"},
+    )

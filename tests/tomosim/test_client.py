@@ -1,0 +1,394 @@
+"""The client against the real API in this process, and against a service that misbehaves."""
+
+import json
+import os
+import queue
+import subprocess
+import sys
+import threading
+from collections.abc import Callable
+from pathlib import Path
+
+import anyio
+import httpx
+import pytest
+import uvicorn
+
+from api.app import create_app
+from simcore import presets
+from simcore.spec import SimulationSpec
+from tomosim import client as clients
+from tomosim.client import AsyncClient, Client, Retrying, ServiceError, twin
+from tomosim.client.files import Partial
+from worker.settings import Settings
+from worker.supervisor import Slot
+
+AT_ONCE = Retrying(first_seconds=0.0, longest_seconds=0.0)
+FAKE = Path(__file__).parent.parent / "worker"
+
+
+class NoBroker:
+    """Cases are run by the test."""
+
+    def send(self, identifier: str, queue: str = "interactive") -> None:
+        pass
+
+    def waiting(self) -> int:
+        return 1
+
+    def ping(self) -> None:
+        pass
+
+
+@pytest.fixture(scope="module")
+def settings(tmp_path_factory: pytest.TempPathFactory):
+    with pytest.MonkeyPatch.context() as patch:
+        for name in [n for n in os.environ if n.startswith("TOMOSIM_")]:
+            patch.delenv(name)
+        patch.setenv("PYTHONPATH", str(FAKE), prepend=os.pathsep)
+        yield Settings.load(
+            data_folder=tmp_path_factory.mktemp("data"),
+            pipeline="fake_pipeline:run",
+            webhook_private_hosts="127.0.0.1",
+            memory_limit_bytes=3_000_000_000,
+        )
+
+
+@pytest.fixture(scope="module")
+def service(settings: Settings):
+    """(address, application) of a running API."""
+    app = create_app(settings, NoBroker(), sweep=False)
+    server = uvicorn.Server(uvicorn.Config(app, host="127.0.0.1", port=0, log_level="warning"))
+    thread = threading.Thread(target=server.run, daemon=True)
+    thread.start()
+    while not server.started:
+        assert thread.is_alive()
+    yield f"http://127.0.0.1:{server.servers[0].sockets[0].getsockname()[1]}", app
+    server.should_exit = True
+    thread.join(10)
+
+
+@pytest.fixture
+def client(service):
+    with Client(service[0], retrying=AT_ONCE) as made:
+        yield made
+
+
+@pytest.fixture(scope="module")
+def run(settings: Settings, service) -> Callable[[str], None]:
+    """Runs queued cases on a worker slot, one after the other."""
+    slot = Slot("test", settings, service[1].state.services.jobs, threading.Event())
+    waiting: queue.SimpleQueue[str | None] = queue.SimpleQueue()
+
+    def work():
+        while identifier := waiting.get():
+            slot.run(identifier)
+        slot.kill()
+
+    thread = threading.Thread(target=work)
+    thread.start()
+    yield waiting.put
+    waiting.put(None)
+    thread.join(30)
+
+
+@pytest.fixture(scope="module")
+def done(service, run) -> str:
+    """A case that has succeeded."""
+    with Client(service[0]) as client:
+        case = client.submit(SimulationSpec(name="fine", seed=3))
+        run(case.id)
+        assert client.wait(case.id).state == "succeeded"
+    return case.id
+
+
+def test_a_case_from_submission_to_files(client, run, tmp_path: Path):
+    case = client.submit(SimulationSpec(name="slow", seed=11))
+    assert case.state == "queued"
+    run(case.id)
+    seen = []
+    case = client.wait(case.id, seen.append)
+    assert (case.state, case.name) == ("succeeded", "slow")
+    assert seen[0].data["state"] == "queued"
+    assert {e.kind for e in seen} == {"state", "progress"}
+    assert [e.sequence for e in seen] == sorted(e.sequence for e in seen)
+    files = {f.name: f for f in client.download(case.id, tmp_path)}
+    assert set(files) == {"projections/0001.dcm", "volume.dcm", "preview/phantom.png", "manifest.json"}
+    assert (tmp_path / "volume.dcm").stat().st_size == files["volume.dcm"].size
+    assert json.loads((tmp_path / "manifest.json").read_bytes()) == client.manifest(case.id)
+    assert all(f.kept for f in client.download(case.id, tmp_path) if f.name != "manifest.json")
+    client.delete(case.id)
+    with pytest.raises(clients.NotFoundError) as missing:
+        client.get(case.id)
+    assert (missing.value.code, missing.value.status) == ("simulation-not-found", 404)
+
+
+def test_the_same_from_asynchronous_programs(service, run, tmp_path: Path):
+    async def main():
+        async with AsyncClient(service[0]) as client:
+            cases = [await client.submit({"name": "fine", "seed": seed}) for seed in (21, 22)]
+            for case in cases:
+                run(case.id)
+            async with anyio.create_task_group() as group:
+                for case in cases:
+                    group.start_soon(client.wait, case.id)
+            files = [f.name async for f in client.download(cases[0].id, tmp_path)]
+            states = {c.id: c.state async for c in client.simulations(page_size=1)}
+            with pytest.raises(clients.ConflictError):
+                await client.cancel(cases[0].id)
+            with pytest.raises(TimeoutError):
+                await client.wait((await client.submit({})).id, timeout_seconds=0.1)
+            return files, [states[c.id] for c in cases]
+
+    files, states = anyio.run(main)
+    assert sorted(files) == ["manifest.json", "preview/phantom.png", "projections/0001.dcm", "volume.dcm"]
+    assert states == ["succeeded", "succeeded"]
+
+
+def test_pages_are_turned(client):
+    made = {client.submit({"seed": seed}).id for seed in range(5)}
+    found = [case.id for case in client.simulations(page_size=2)]
+    assert made <= set(found)
+    assert len(found) == len(set(found))
+    assert {case.state for case in client.simulations("queued")} == {"queued"}
+
+
+def test_what_can_be_asked_for(client):
+    assert "tiny" in {p.name for p in client.presets()}
+    assert client.preset("tiny") == presets.get("tiny")
+    assert client.service_info().api_version == "v1"
+    assert client.estimate(presets.get("tiny")).memory_bytes > 0
+
+
+def test_errors_are_typed_and_tell_the_field(client, done: str):
+    with pytest.raises(clients.InvalidRequestError, match="views") as refused:
+        client.submit({"acquisition": {"views": "many"}})
+    assert (refused.value.status, refused.value.code, refused.value.kind) == (422, "invalid-request", "user")
+    assert refused.value.problem["errors"][0]["pointer"].startswith("/acquisition")
+    with pytest.raises(clients.ConflictError) as late:
+        client.cancel(done)
+    assert late.value.code == "already-finished"
+    with pytest.raises(clients.NotFoundError):
+        client.get("../phantoms")
+
+
+def test_phantoms_go_up_in_a_stream(client, tmp_path: Path):
+    raw = tmp_path / "labels.raw"
+    raw.write_bytes(bytes([0, 1, 2, 1] * 2000))
+    reading = {"raw": {"shape": [20, 20, 20], "spacing_mm": [1.0, 1.0, 1.0]}, "tissues": "tomosim"}
+    sent = client.upload_phantom(raw, reading=reading)
+    with open(raw, "rb") as stream:
+        assert client.upload_phantom(stream, name="labels.raw", reading=reading).sha256 == sent.sha256
+
+    async def again():
+        async with AsyncClient(client.url) as other:
+            return await other.upload_phantom(raw, reading=reading)
+
+    assert anyio.run(again) == sent == client.phantom(sent.sha256)
+    assert sent in client.phantoms()
+    with pytest.raises(clients.InvalidRequestError):
+        client.upload_phantom(raw, reading={"raw": {}})
+
+
+def test_webhooks(client):
+    hook = client.create_webhook("http://127.0.0.1:9/hook", ("simulation.failed",), "ours")
+    assert hook.secret.startswith("whsec_")
+    assert [h.id for h in client.webhooks()] == [hook.id]
+    sent = client.test_webhook(hook.id)
+    assert [m.id for m in client.webhook_messages(hook.id)] == [sent.id]
+    assert client.webhook_message(hook.id, sent.id).log == []
+    with pytest.raises(clients.ConflictError):
+        client.replay_message(hook.id, sent.id)
+    assert client.enable_webhook(hook.id).state == client.webhook(hook.id).state == "active"
+    client.delete_webhook(hook.id)
+    assert client.webhooks() == []
+
+
+def test_a_broken_download_goes_on_where_it_broke(client, done: str, tmp_path: Path):
+    item = next(a for a in client.artifacts(done) if a.name == "volume.dcm")
+    whole = httpx.get(client.url + item.href).content
+    ranges = []
+
+    class Breaks(httpx.HTTPTransport):
+        """Loses the connection in the middle of the first answer."""
+
+        def handle_request(self, request):
+            response = super().handle_request(request)
+            if request.url.path == item.href:
+                ranges.append(request.headers.get("range"))
+                if len(ranges) == 1:
+                    response.stream = Broken(response.stream)
+            return response
+
+    class Broken(httpx.SyncByteStream):
+        def __init__(self, stream):
+            self.stream = stream
+
+        def __iter__(self):
+            yield b"".join(self.stream)[:1000]
+            raise httpx.ReadError("connection lost")
+
+        def close(self):
+            self.stream.close()
+
+    with Client(client.url, retrying=AT_ONCE, transport=Breaks()) as fragile:
+        files = list(fragile.download(done, tmp_path, lambda name: name == "volume.dcm"))
+    assert ranges == [None, "bytes=1000-"]
+    assert files[0].path.read_bytes() == whole
+    assert list(tmp_path.glob("*.partial")) == []
+
+    # What an earlier program left is gone on with; what is wrong is noticed and not kept.
+    (tmp_path / "volume.dcm").unlink()
+    (tmp_path / "volume.dcm.partial").write_bytes(whole[:10])
+    list(client.download(done, tmp_path))
+    assert (tmp_path / "volume.dcm").read_bytes() == whole
+    (tmp_path / "volume.dcm").write_bytes(b"cut short")
+    (tmp_path / "volume.dcm.partial").write_bytes(b"something else")
+    with pytest.raises(clients.DigestError):
+        list(client.download(done, tmp_path))
+    assert not (tmp_path / "volume.dcm.partial").exists()
+    list(client.download(done, tmp_path))
+    assert (tmp_path / "volume.dcm").read_bytes() == whole
+
+
+@pytest.mark.parametrize("name", ["../outside", "/etc/passwd", "a/../../b", "."])
+def test_no_file_is_written_outside(tmp_path: Path, name: str):
+    with pytest.raises(ServiceError, match="outside"):
+        clients.files.target_of(tmp_path / "out", name)
+
+
+def test_a_range_that_is_not_honoured_begins_anew(tmp_path: Path):
+    import hashlib
+
+    target = tmp_path / "file"
+    target.with_name("file.partial").write_bytes(b"old")
+    with Partial(target, hashlib.sha256(b"all of it").hexdigest()) as partial:
+        assert partial.headers()["Range"] == "bytes=3-"
+        partial.begin(httpx.Response(200))
+        partial.write(b"all of it")
+        assert partial.finish() == 9
+
+
+class Scripted(httpx.BaseTransport):
+    """Answers and errors one after the other; remembers the requests."""
+
+    def __init__(self, *script):
+        self.script = list(script)
+        self.requests = []
+
+    def handle_request(self, request):
+        self.requests.append(request)
+        what = self.script.pop(0)
+        if isinstance(what, Exception):
+            raise what
+        return what
+
+
+def scripted(*script, **more) -> tuple[Client, Scripted]:
+    transport = Scripted(*script)
+    return Client("http://service", transport=transport, retrying=Retrying(first_seconds=0, **more)), transport
+
+
+def problem(status: int, **headers: str) -> httpx.Response:
+    return httpx.Response(status, json={"code": "later", "detail": "not now"}, headers=headers)
+
+
+OK = httpx.Response(200, json={"items": []})
+
+
+@pytest.mark.parametrize(
+    "trouble", [problem(429), problem(503), problem(502), httpx.ReadError("lost"), httpx.ConnectError("refused")]
+)
+def test_sent_again_where_that_helps(trouble):
+    client, transport = scripted(trouble, trouble, OK)
+    assert client.phantoms() == []
+    assert len(transport.requests) == 3
+
+
+def test_a_case_is_sent_again_under_the_same_key():
+    client, transport = scripted(httpx.ReadError("lost"), problem(503), problem(422))
+    with pytest.raises(clients.InvalidRequestError):
+        client.submit({})
+    assert len({r.headers["idempotency-key"] for r in transport.requests}) == 1
+    assert len(transport.requests) == 3
+
+
+def test_what_may_have_happened_is_not_done_twice():
+    client, transport = scripted(httpx.ReadError("lost"))
+    with pytest.raises(clients.UnreachableError):
+        client.retry("0" * 32)
+    assert len(transport.requests) == 1
+    client, transport = scripted(httpx.ConnectError("refused"), problem(409))
+    with pytest.raises(clients.ConflictError):
+        client.retry("0" * 32)  # it never arrived: no harm in sending it again
+
+
+def test_it_ends_after_some_attempts():
+    client, transport = scripted(*[problem(503)] * 4, attempts=3)
+    with pytest.raises(clients.UnavailableError) as gone:
+        client.phantoms()
+    assert (gone.value.code, gone.value.status, len(transport.requests)) == ("later", 503, 3)
+
+
+def test_retry_after_is_respected(monkeypatch):
+    slept = []
+    monkeypatch.setattr("time.sleep", slept.append)
+    client, _ = scripted(problem(429, **{"Retry-After": "7"}), OK)
+    client.phantoms()
+    assert slept == [7.0]
+    client, _ = scripted(problem(429, **{"Retry-After": "3600"}))
+    with pytest.raises(clients.TooManyRequestsError) as quota:
+        client.phantoms()
+    assert quota.value.retry_after_seconds == 3600
+
+
+def test_pauses_grow():
+    retrying = Retrying(first_seconds=1.0, longest_seconds=5.0)
+    for number, longest in ((1, 1.0), (2, 2.0), (3, 4.0), (4, 5.0), (9, 5.0)):
+        assert longest / 2 <= retrying.pause(number) <= longest
+
+
+def test_events_go_on_after_a_lost_connection():
+    def stream(*lines):
+        return httpx.Response(200, text="\n".join(lines) + "\n")
+
+    first = stream("id: 1", "event: state", 'data: {"state": "queued"}', "", "id: 2", "event: state")  # cut off
+    second = stream(": still here", "", "id: 2", "event: state", 'data: {"state": "running"}', "")
+    row = {"state": "running"}
+    client, transport = scripted(first, httpx.ReadError("lost"), second)
+    client.get = lambda identifier: type("Case", (), {"state": row["state"]})
+    seen = []
+    for event in client.events("0" * 32):
+        seen.append(event.sequence)
+        row["state"] = "succeeded" if event.sequence == 2 else "running"
+    assert seen == [1, 2]
+    assert [r.headers.get("last-event-id") for r in transport.requests] == [None, "1", "1"]
+
+
+def test_the_key_is_sent(monkeypatch):
+    monkeypatch.setenv("TOMOSIM_API_KEY", "secret")
+    monkeypatch.setenv("TOMOSIM_URL", "http://elsewhere/")
+    transport = Scripted(OK)
+    with Client(transport=transport) as client:
+        client.phantoms()
+    assert str(transport.requests[0].url) == "http://elsewhere/v1/phantoms"
+    assert transport.requests[0].headers["authorization"] == "Bearer secret"
+
+
+def test_the_twins_are_the_same():
+    """sync_client.py is what ``python -m tomosim.client.twin`` makes."""
+    made = subprocess.run(
+        [sys.executable, "-m", "ruff", "format", "--stdin-filename", str(twin.TARGET), "-"],
+        input=twin.twin(twin.SOURCE.read_text()),
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    assert made.stdout == twin.TARGET.read_text()
+
+
+def test_the_client_is_light():
+    heavy = ("fastapi", "sqlalchemy", "celery", "numba", "scipy", "uvicorn")
+    code = f"import sys, tomosim.client; print(*(m for m in {heavy} if m in sys.modules))"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.split() == []

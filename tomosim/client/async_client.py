@@ -1,0 +1,329 @@
+"""The client for programs that do other things while they wait (asyncio or trio).
+
+The one for programs that just wait, ``sync_client.py``, is made from this file: ``python -m tomosim.client.twin``.
+"""
+
+from __future__ import annotations
+
+from collections.abc import AsyncIterator, Callable, Mapping
+from contextlib import asynccontextmanager
+from pathlib import Path
+from types import TracebackType
+from typing import IO, Any, Self, TypeVar
+
+import anyio
+import httpx
+
+from api.catalog_resources import PresetResource, ServiceInfo
+from api.phantom_resources import PhantomResource
+from api.resources import ArtifactResource, SimulationResource
+from api.webhook_resources import DEFAULT_EVENTS, CreatedWebhook, MessageResource, NewWebhook, WebhookResource
+from simcore.estimate import Estimate
+from simcore.phantom.upload.reading import Reading
+from simcore.spec import SimulationSpec
+from tomosim.client import calls, common, errors, files
+from tomosim.client.calls import Call, Json, Specification
+from tomosim.client.common import Deadline, run_in_thread
+from tomosim.client.files import Downloaded
+from tomosim.client.retrying import Retrying
+from tomosim.client.streams import CaseEvent, EventParser
+from worker.contract import FINAL_STATES, State, WebhookEvent
+
+T = TypeVar("T")
+
+
+class AsyncClient:
+    """One service. Use as a context manager.
+
+    async with AsyncClient("http://127.0.0.1:8080") as client:
+        case = await client.submit(spec)
+        case = await client.wait(case.id)
+        async for file in client.download(case.id, Path("out")):
+            print(file.path)
+
+    url: the environment's TOMOSIM_URL, or this machine's port 8080, where not given. api_key: TOMOSIM_API_KEY.
+    timeout_seconds: without any sign of the service. raises from every method: ServiceError
+    """
+
+    def __init__(
+        self,
+        url: str | None = None,
+        *,
+        api_key: str | None = None,
+        timeout_seconds: float = 60.0,
+        retrying: Retrying | None = None,
+        transport: httpx.AsyncBaseTransport | None = None,
+    ) -> None:
+        self.url = common.url_of(url)
+        self.timeout_seconds = timeout_seconds
+        self.retrying = retrying or Retrying()
+        self._http = httpx.AsyncClient(
+            base_url=self.url, headers=common.headers(api_key), timeout=timeout_seconds, transport=transport
+        )
+
+    async def __aenter__(self) -> Self:
+        return self
+
+    async def __aexit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, tb: TracebackType | None
+    ) -> None:
+        await self.close()
+
+    async def close(self) -> None:
+        await self._http.aclose()
+
+    # Simulations
+
+    async def submit(self, specification: Specification, *, idempotency_key: str | None = None) -> SimulationResource:
+        """Queues a case. idempotency_key: two requests with the same key make one case; a new one where not given."""
+        return await self._do(calls.submit(specification, idempotency_key))
+
+    async def estimate(self, specification: Specification) -> Estimate:
+        """What a case would need."""
+        return await self._do(calls.estimate(specification))
+
+    async def get(self, simulation_id: str) -> SimulationResource:
+        """A case with its specification."""
+        return await self._do(calls.simulation(simulation_id))
+
+    def simulations(self, state: State | None = None, page_size: int = 100) -> AsyncIterator[SimulationResource]:
+        """Cases, the newest first, page by page as they are needed."""
+        return self._pages(lambda cursor: calls.simulations(state, page_size, cursor))
+
+    async def cancel(self, simulation_id: str) -> SimulationResource:
+        """Stops a case."""
+        return await self._do(calls.cancel(simulation_id))
+
+    async def retry(self, simulation_id: str) -> SimulationResource:
+        """Queues a failed or cancelled case again."""
+        return await self._do(calls.retry(simulation_id))
+
+    async def delete(self, simulation_id: str) -> None:
+        """Forgets a finished case."""
+        await self._do(calls.delete(simulation_id))
+
+    def events(self, simulation_id: str, after: int = 0) -> AsyncIterator[CaseEvent]:
+        """What happens to a case until it has ended; a lost connection is taken up again where it broke.
+
+        after: sequence of the last event already seen
+        """
+        return self._events(simulation_id, after, Deadline(None))
+
+    async def wait(
+        self,
+        simulation_id: str,
+        watch: Callable[[CaseEvent], object] | None = None,
+        timeout_seconds: float | None = None,
+    ) -> SimulationResource:
+        """The case in its final state, whichever that is; ``watch`` is called with every event.
+
+        raises: TimeoutError
+        """
+        async for event in self._events(simulation_id, 0, Deadline(timeout_seconds)):
+            if watch is not None:
+                watch(event)
+        return await self.get(simulation_id)
+
+    async def _events(self, simulation_id: str, after: int, deadline: Deadline) -> AsyncIterator[CaseEvent]:
+        path = f"/v1/simulations/{simulation_id}/events"
+        failures = 0
+        while True:
+            parser = EventParser()
+            headers = {"Last-Event-ID": str(after)} if after else {}
+            timeout = deadline.stream_timeout(self.timeout_seconds)
+            try:
+                async with self._open("GET", path, headers=headers, timeout=timeout) as response:
+                    async for line in response.aiter_lines():
+                        deadline.check(simulation_id)
+                        if event := parser.feed(line):
+                            after, failures = event.sequence, 0
+                            yield event
+                if (await self.get(simulation_id)).state in FINAL_STATES:
+                    return
+            except httpx.HTTPError as error:
+                deadline.check(simulation_id)
+                failures += 1
+                if failures >= self.retrying.attempts:
+                    raise errors.from_transport(self.url, error) from error
+                await anyio.sleep(self.retrying.pause(failures))
+
+    async def artifacts(self, simulation_id: str) -> list[ArtifactResource]:
+        """The files of a case that succeeded."""
+        return (await self._do(calls.artifacts(simulation_id))).items
+
+    async def manifest(self, simulation_id: str) -> Json:
+        """Specification, seeds, versions, seconds and digests of a case that succeeded."""
+        return await self._do(calls.manifest(simulation_id))
+
+    async def download(
+        self, simulation_id: str, folder: Path, choose: Callable[[str], bool] | None = None
+    ) -> AsyncIterator[Downloaded]:
+        """Writes the files of a case (those whose name ``choose`` accepts) and manifest.json below ``folder``.
+
+        Files that are there are kept, a file that broke off is gone on with. Gives each file when it is whole.
+        raises: DigestError where a file arrives with another content than announced.
+        """
+        for item in await self.artifacts(simulation_id):
+            if choose is None or choose(item.name):
+                yield await self._fetch(item, folder)
+        content = await self._do(Call("GET", f"/v1/simulations/{simulation_id}/manifest", lambda r: r.content))
+        folder.mkdir(parents=True, exist_ok=True)
+        target = folder / "manifest.json"
+        target.write_bytes(content)
+        yield Downloaded("manifest.json", target, len(content))
+
+    async def _fetch(self, item: ArtifactResource, folder: Path) -> Downloaded:
+        target = files.target_of(folder, item.name)
+        if await run_in_thread(files.is_there, target, item.size, item.sha256):
+            return Downloaded(item.name, target, item.size, kept=True)
+        with await run_in_thread(files.Partial, target, item.sha256) as partial:
+            number = 0
+            while True:
+                number += 1
+                try:
+                    async with self._open("GET", item.href, headers=partial.headers()) as response:
+                        partial.begin(response)
+                        async for (
+                            chunk
+                        ) in response.aiter_bytes():  # with a size, what came before an error would be lost
+                            partial.write(chunk)
+                    return Downloaded(item.name, target, partial.finish())
+                except httpx.HTTPError as error:
+                    pause = self.retrying.after_error(number, error, repeatable=True)
+                    if pause is None:
+                        raise errors.from_transport(self.url, error) from error
+                    await anyio.sleep(pause)
+
+    # Phantoms
+
+    async def upload_phantom(
+        self, content: Path | IO[bytes], *, name: str = "", reading: Reading | Mapping[str, Any] | None = None
+    ) -> PhantomResource:
+        """Sends a label volume; its ``specification`` is the part of a case that uses it.
+
+        content: a file, or what has ``read``; read piece by piece. reading: how it is to be read, as far as the file
+        does not say so itself.
+        """
+        call = calls.upload(name or files.name_of(content), reading, files.size_of(content))
+        again = isinstance(content, Path)  # another stream has been read when it is to be sent a second time
+        return await self._do(call, lambda: files.async_chunks_of(content), repeatable=again)
+
+    async def phantoms(self) -> list[PhantomResource]:
+        """All label volumes."""
+        return (await self._do(calls.phantoms())).items
+
+    async def phantom(self, sha256: str) -> PhantomResource:
+        """One label volume."""
+        return await self._do(calls.phantom(sha256))
+
+    # What can be asked for
+
+    async def presets(self) -> list[PresetResource]:
+        """All presets, without their specifications."""
+        return (await self._do(calls.presets())).items
+
+    async def preset(self, name: str) -> SimulationSpec:
+        """A specification to begin with."""
+        found = await self._do(calls.preset(name))
+        return SimulationSpec.from_dict(found.specification or {})
+
+    async def service_info(self) -> ServiceInfo:
+        """Version and limits of the service."""
+        return await self._do(calls.service_info())
+
+    # Webhooks
+
+    async def create_webhook(
+        self, url: str, events: tuple[WebhookEvent, ...] = DEFAULT_EVENTS, description: str = ""
+    ) -> CreatedWebhook:
+        """Has ``events`` posted to ``url``. Keep the ``secret`` of the answer: it is not shown again."""
+        return await self._do(calls.create_webhook(NewWebhook(url=url, events=list(events), description=description)))
+
+    async def webhooks(self) -> list[WebhookResource]:
+        """All webhooks."""
+        return (await self._do(calls.webhooks())).items
+
+    async def webhook(self, webhook_id: str) -> WebhookResource:
+        """One webhook."""
+        return await self._do(calls.webhook(webhook_id))
+
+    async def delete_webhook(self, webhook_id: str) -> None:
+        """Forgets a webhook."""
+        await self._do(calls.delete_webhook(webhook_id))
+
+    async def test_webhook(self, webhook_id: str) -> MessageResource:
+        """Sends a message of the event "webhook.test"."""
+        return await self._do(calls.test_webhook(webhook_id))
+
+    async def enable_webhook(self, webhook_id: str) -> WebhookResource:
+        """Takes a disabled webhook up again."""
+        return await self._do(calls.enable_webhook(webhook_id))
+
+    def webhook_messages(self, webhook_id: str, page_size: int = 100) -> AsyncIterator[MessageResource]:
+        """What a webhook was told lately, the newest first."""
+        return self._pages(lambda cursor: calls.webhook_messages(webhook_id, page_size, cursor))
+
+    async def webhook_message(self, webhook_id: str, message_id: str) -> MessageResource:
+        """A message with its content and every attempt to send it."""
+        return await self._do(calls.webhook_message(webhook_id, message_id))
+
+    async def replay_message(self, webhook_id: str, message_id: str) -> MessageResource:
+        """Sends a message again."""
+        return await self._do(calls.replay_message(webhook_id, message_id))
+
+    # How it is done
+
+    async def _do(
+        self, call: Call[T], content: Callable[[], AsyncIterator[bytes]] | None = None, repeatable: bool | None = None
+    ) -> T:
+        """Sends a request, again where that may help. raises: ServiceError"""
+        again = call.repeatable if repeatable is None else repeatable
+        number = 0
+        while True:
+            number += 1
+            try:
+                response = await self._http.request(
+                    call.method,
+                    call.path,
+                    params=call.params,
+                    json=call.json,
+                    content=content() if content else None,
+                    headers=call.headers,
+                )
+            except httpx.HTTPError as error:
+                pause = self.retrying.after_error(number, error, again)
+                if pause is None:
+                    raise errors.from_transport(self.url, error) from error
+            else:
+                if not response.is_error:
+                    return call.parse(response)
+                pause = self.retrying.after_response(number, response) if content is None or again else None
+                if pause is None:
+                    raise errors.from_response(response)
+            await anyio.sleep(pause)
+
+    async def _pages(self, page: Callable[[str | None], Call[Any]]) -> AsyncIterator[Any]:
+        cursor = None
+        while True:
+            found = await self._do(page(cursor))
+            for item in found.items:
+                yield item
+            cursor = found.next
+            if cursor is None:
+                return
+
+    @asynccontextmanager
+    async def _open(self, method: str, path: str, **request: Any) -> AsyncIterator[httpx.Response]:
+        """An answer that is read piece by piece. raises: ServiceError; httpx.HTTPError where no answer came"""
+        number = 0
+        while True:
+            number += 1
+            async with self._http.stream(method, path, **request) as response:
+                if not response.is_error:
+                    yield response
+                    return
+                await response.aread()
+            pause = self.retrying.after_response(number, response)
+            if pause is None:
+                raise errors.from_response(response)
+            await anyio.sleep(pause)

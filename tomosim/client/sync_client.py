@@ -1,0 +1,324 @@
+"""The client for programs that wait.
+
+Made from ``async_client.py`` by ``python -m tomosim.client.twin``: change that one.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
+from pathlib import Path
+from types import TracebackType
+from typing import IO, Any, Self, TypeVar
+
+import httpx
+
+from api.catalog_resources import PresetResource, ServiceInfo
+from api.phantom_resources import PhantomResource
+from api.resources import ArtifactResource, SimulationResource
+from api.webhook_resources import DEFAULT_EVENTS, CreatedWebhook, MessageResource, NewWebhook, WebhookResource
+from simcore.estimate import Estimate
+from simcore.phantom.upload.reading import Reading
+from simcore.spec import SimulationSpec
+from tomosim.client import calls, common, errors, files
+from tomosim.client.calls import Call, Json, Specification
+from tomosim.client.common import Deadline
+from tomosim.client.files import Downloaded
+from tomosim.client.retrying import Retrying
+from tomosim.client.streams import CaseEvent, EventParser
+from worker.contract import FINAL_STATES, State, WebhookEvent
+
+T = TypeVar("T")
+
+
+class Client:
+    """One service. Use as a context manager.
+
+    with Client("http://127.0.0.1:8080") as client:
+        case = client.submit(spec)
+        case = client.wait(case.id)
+        for file in client.download(case.id, Path("out")):
+            print(file.path)
+
+    url: the environment's TOMOSIM_URL, or this machine's port 8080, where not given. api_key: TOMOSIM_API_KEY.
+    timeout_seconds: without any sign of the service. raises from every method: ServiceError
+    """
+
+    def __init__(
+        self,
+        url: str | None = None,
+        *,
+        api_key: str | None = None,
+        timeout_seconds: float = 60.0,
+        retrying: Retrying | None = None,
+        transport: httpx.BaseTransport | None = None,
+    ) -> None:
+        self.url = common.url_of(url)
+        self.timeout_seconds = timeout_seconds
+        self.retrying = retrying or Retrying()
+        self._http = httpx.Client(
+            base_url=self.url, headers=common.headers(api_key), timeout=timeout_seconds, transport=transport
+        )
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, tb: TracebackType | None) -> None:
+        self.close()
+
+    def close(self) -> None:
+        self._http.close()
+
+    # Simulations
+
+    def submit(self, specification: Specification, *, idempotency_key: str | None = None) -> SimulationResource:
+        """Queues a case. idempotency_key: two requests with the same key make one case; a new one where not given."""
+        return self._do(calls.submit(specification, idempotency_key))
+
+    def estimate(self, specification: Specification) -> Estimate:
+        """What a case would need."""
+        return self._do(calls.estimate(specification))
+
+    def get(self, simulation_id: str) -> SimulationResource:
+        """A case with its specification."""
+        return self._do(calls.simulation(simulation_id))
+
+    def simulations(self, state: State | None = None, page_size: int = 100) -> Iterator[SimulationResource]:
+        """Cases, the newest first, page by page as they are needed."""
+        return self._pages(lambda cursor: calls.simulations(state, page_size, cursor))
+
+    def cancel(self, simulation_id: str) -> SimulationResource:
+        """Stops a case."""
+        return self._do(calls.cancel(simulation_id))
+
+    def retry(self, simulation_id: str) -> SimulationResource:
+        """Queues a failed or cancelled case again."""
+        return self._do(calls.retry(simulation_id))
+
+    def delete(self, simulation_id: str) -> None:
+        """Forgets a finished case."""
+        self._do(calls.delete(simulation_id))
+
+    def events(self, simulation_id: str, after: int = 0) -> Iterator[CaseEvent]:
+        """What happens to a case until it has ended; a lost connection is taken up again where it broke.
+
+        after: sequence of the last event already seen
+        """
+        return self._events(simulation_id, after, Deadline(None))
+
+    def wait(
+        self,
+        simulation_id: str,
+        watch: Callable[[CaseEvent], object] | None = None,
+        timeout_seconds: float | None = None,
+    ) -> SimulationResource:
+        """The case in its final state, whichever that is; ``watch`` is called with every event.
+
+        raises: TimeoutError
+        """
+        for event in self._events(simulation_id, 0, Deadline(timeout_seconds)):
+            if watch is not None:
+                watch(event)
+        return self.get(simulation_id)
+
+    def _events(self, simulation_id: str, after: int, deadline: Deadline) -> Iterator[CaseEvent]:
+        path = f"/v1/simulations/{simulation_id}/events"
+        failures = 0
+        while True:
+            parser = EventParser()
+            headers = {"Last-Event-ID": str(after)} if after else {}
+            timeout = deadline.stream_timeout(self.timeout_seconds)
+            try:
+                with self._open("GET", path, headers=headers, timeout=timeout) as response:
+                    for line in response.iter_lines():
+                        deadline.check(simulation_id)
+                        if event := parser.feed(line):
+                            after, failures = event.sequence, 0
+                            yield event
+                if self.get(simulation_id).state in FINAL_STATES:
+                    return
+            except httpx.HTTPError as error:
+                deadline.check(simulation_id)
+                failures += 1
+                if failures >= self.retrying.attempts:
+                    raise errors.from_transport(self.url, error) from error
+                time.sleep(self.retrying.pause(failures))
+
+    def artifacts(self, simulation_id: str) -> list[ArtifactResource]:
+        """The files of a case that succeeded."""
+        return self._do(calls.artifacts(simulation_id)).items
+
+    def manifest(self, simulation_id: str) -> Json:
+        """Specification, seeds, versions, seconds and digests of a case that succeeded."""
+        return self._do(calls.manifest(simulation_id))
+
+    def download(
+        self, simulation_id: str, folder: Path, choose: Callable[[str], bool] | None = None
+    ) -> Iterator[Downloaded]:
+        """Writes the files of a case (those whose name ``choose`` accepts) and manifest.json below ``folder``.
+
+        Files that are there are kept, a file that broke off is gone on with. Gives each file when it is whole.
+        raises: DigestError where a file arrives with another content than announced.
+        """
+        for item in self.artifacts(simulation_id):
+            if choose is None or choose(item.name):
+                yield self._fetch(item, folder)
+        content = self._do(Call("GET", f"/v1/simulations/{simulation_id}/manifest", lambda r: r.content))
+        folder.mkdir(parents=True, exist_ok=True)
+        target = folder / "manifest.json"
+        target.write_bytes(content)
+        yield Downloaded("manifest.json", target, len(content))
+
+    def _fetch(self, item: ArtifactResource, folder: Path) -> Downloaded:
+        target = files.target_of(folder, item.name)
+        if files.is_there(target, item.size, item.sha256):
+            return Downloaded(item.name, target, item.size, kept=True)
+        with files.Partial(target, item.sha256) as partial:
+            number = 0
+            while True:
+                number += 1
+                try:
+                    with self._open("GET", item.href, headers=partial.headers()) as response:
+                        partial.begin(response)
+                        for chunk in response.iter_bytes():  # with a size, what came before an error would be lost
+                            partial.write(chunk)
+                    return Downloaded(item.name, target, partial.finish())
+                except httpx.HTTPError as error:
+                    pause = self.retrying.after_error(number, error, repeatable=True)
+                    if pause is None:
+                        raise errors.from_transport(self.url, error) from error
+                    time.sleep(pause)
+
+    # Phantoms
+
+    def upload_phantom(
+        self, content: Path | IO[bytes], *, name: str = "", reading: Reading | Mapping[str, Any] | None = None
+    ) -> PhantomResource:
+        """Sends a label volume; its ``specification`` is the part of a case that uses it.
+
+        content: a file, or what has ``read``; read piece by piece. reading: how it is to be read, as far as the file
+        does not say so itself.
+        """
+        call = calls.upload(name or files.name_of(content), reading, files.size_of(content))
+        again = isinstance(content, Path)  # another stream has been read when it is to be sent a second time
+        return self._do(call, lambda: files.chunks_of(content), repeatable=again)
+
+    def phantoms(self) -> list[PhantomResource]:
+        """All label volumes."""
+        return self._do(calls.phantoms()).items
+
+    def phantom(self, sha256: str) -> PhantomResource:
+        """One label volume."""
+        return self._do(calls.phantom(sha256))
+
+    # What can be asked for
+
+    def presets(self) -> list[PresetResource]:
+        """All presets, without their specifications."""
+        return self._do(calls.presets()).items
+
+    def preset(self, name: str) -> SimulationSpec:
+        """A specification to begin with."""
+        found = self._do(calls.preset(name))
+        return SimulationSpec.from_dict(found.specification or {})
+
+    def service_info(self) -> ServiceInfo:
+        """Version and limits of the service."""
+        return self._do(calls.service_info())
+
+    # Webhooks
+
+    def create_webhook(
+        self, url: str, events: tuple[WebhookEvent, ...] = DEFAULT_EVENTS, description: str = ""
+    ) -> CreatedWebhook:
+        """Has ``events`` posted to ``url``. Keep the ``secret`` of the answer: it is not shown again."""
+        return self._do(calls.create_webhook(NewWebhook(url=url, events=list(events), description=description)))
+
+    def webhooks(self) -> list[WebhookResource]:
+        """All webhooks."""
+        return self._do(calls.webhooks()).items
+
+    def webhook(self, webhook_id: str) -> WebhookResource:
+        """One webhook."""
+        return self._do(calls.webhook(webhook_id))
+
+    def delete_webhook(self, webhook_id: str) -> None:
+        """Forgets a webhook."""
+        self._do(calls.delete_webhook(webhook_id))
+
+    def test_webhook(self, webhook_id: str) -> MessageResource:
+        """Sends a message of the event "webhook.test"."""
+        return self._do(calls.test_webhook(webhook_id))
+
+    def enable_webhook(self, webhook_id: str) -> WebhookResource:
+        """Takes a disabled webhook up again."""
+        return self._do(calls.enable_webhook(webhook_id))
+
+    def webhook_messages(self, webhook_id: str, page_size: int = 100) -> Iterator[MessageResource]:
+        """What a webhook was told lately, the newest first."""
+        return self._pages(lambda cursor: calls.webhook_messages(webhook_id, page_size, cursor))
+
+    def webhook_message(self, webhook_id: str, message_id: str) -> MessageResource:
+        """A message with its content and every attempt to send it."""
+        return self._do(calls.webhook_message(webhook_id, message_id))
+
+    def replay_message(self, webhook_id: str, message_id: str) -> MessageResource:
+        """Sends a message again."""
+        return self._do(calls.replay_message(webhook_id, message_id))
+
+    # How it is done
+
+    def _do(
+        self, call: Call[T], content: Callable[[], Iterator[bytes]] | None = None, repeatable: bool | None = None
+    ) -> T:
+        """Sends a request, again where that may help. raises: ServiceError"""
+        again = call.repeatable if repeatable is None else repeatable
+        number = 0
+        while True:
+            number += 1
+            try:
+                response = self._http.request(
+                    call.method,
+                    call.path,
+                    params=call.params,
+                    json=call.json,
+                    content=content() if content else None,
+                    headers=call.headers,
+                )
+            except httpx.HTTPError as error:
+                pause = self.retrying.after_error(number, error, again)
+                if pause is None:
+                    raise errors.from_transport(self.url, error) from error
+            else:
+                if not response.is_error:
+                    return call.parse(response)
+                pause = self.retrying.after_response(number, response) if content is None or again else None
+                if pause is None:
+                    raise errors.from_response(response)
+            time.sleep(pause)
+
+    def _pages(self, page: Callable[[str | None], Call[Any]]) -> Iterator[Any]:
+        cursor = None
+        while True:
+            found = self._do(page(cursor))
+            yield from found.items
+            cursor = found.next
+            if cursor is None:
+                return
+
+    @contextmanager
+    def _open(self, method: str, path: str, **request: Any) -> Iterator[httpx.Response]:
+        """An answer that is read piece by piece. raises: ServiceError; httpx.HTTPError where no answer came"""
+        number = 0
+        while True:
+            number += 1
+            with self._http.stream(method, path, **request) as response:
+                if not response.is_error:
+                    yield response
+                    return
+                response.read()
+            pause = self.retrying.after_response(number, response)
+            if pause is None:
+                raise errors.from_response(response)
+            time.sleep(pause)
