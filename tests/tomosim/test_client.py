@@ -297,7 +297,15 @@ OK = httpx.Response(200, json={"items": []})
 
 
 @pytest.mark.parametrize(
-    "trouble", [problem(429), problem(503), problem(502), httpx.ReadError("lost"), httpx.ConnectError("refused")]
+    "trouble",
+    [
+        problem(429),
+        problem(503),
+        problem(502),
+        httpx.Response(409, json={"code": "idempotency-in-progress"}),
+        httpx.ReadError("lost"),
+        httpx.ConnectError("refused"),
+    ],
 )
 def test_sent_again_where_that_helps(trouble):
     client, transport = scripted(trouble, trouble, OK)

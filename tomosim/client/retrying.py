@@ -13,6 +13,16 @@ NOT_TAKEN = (429, 502, 503, 504)
 """Answers to requests that were not carried out."""
 
 
+IN_PROGRESS = "idempotency-in-progress"
+"""Code of the answer to a request that was sent before and is still under way."""
+
+
+def _not_taken(response: httpx.Response) -> bool:
+    if response.status_code in NOT_TAKEN:
+        return True
+    return response.status_code == 409 and errors.from_response(response).code == IN_PROGRESS
+
+
 @dataclass(frozen=True)
 class Retrying:
     """Pauses grow from ``first_seconds`` by doubling, up to ``longest_seconds``, each between half and all of it.
@@ -28,7 +38,7 @@ class Retrying:
 
     def after_response(self, number: int, response: httpx.Response) -> float | None:
         """Seconds until the request is sent again after its ``number``-th answer; None: not again."""
-        if response.status_code not in NOT_TAKEN or number >= self.attempts:
+        if number >= self.attempts or not _not_taken(response):
             return None
         asked = errors.retry_after(response)
         if asked is not None:
