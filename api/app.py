@@ -12,6 +12,7 @@ from fastapi.concurrency import run_in_threadpool
 from api import artifacts, catalog, errors, events, health, page, phantoms, simulations, studies, webhooks
 from api.auth import authenticate
 from api.deps import Services
+from api.dicomweb import routes as dicomweb
 from api.guard import Guard
 from api.resources import PREFIX
 from simcore import __version__
@@ -45,7 +46,8 @@ def create_app(settings: Settings | None = None, messenger: Messenger | None = N
         if sweep:
             reaper.start()
             courier.start()
-        yield
+        async with dicomweb.serving(app, served, sweep):
+            yield
         if sweep:
             await run_in_threadpool(reaper.stop)
             await run_in_threadpool(courier.stop)
@@ -66,6 +68,7 @@ def create_app(settings: Settings | None = None, messenger: Messenger | None = N
     app.add_middleware(Guard)
     for module in (simulations, events, artifacts, studies, phantoms, webhooks, catalog):
         app.include_router(module.router, prefix=PREFIX, dependencies=[Depends(authenticate)])
+    app.include_router(dicomweb.router)
     app.include_router(health.router)
     app.include_router(page.router)
     _describe_specification(app)

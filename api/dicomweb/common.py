@@ -1,0 +1,92 @@
+"""What the routes of /dicomweb share: path parameters, the index, addresses, and instances that are really there."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+from fastapi import Depends, Path, Request
+
+from api.auth import Read
+from api.deps import Services
+from api.dicomweb.query import UID
+from api.errors import MAX_SHOWN, ApiError
+from worker.dicom_index import DicomIndex, Instance
+from worker.dicom_indexer import Indexer
+
+PREFIX = "/dicomweb"
+
+
+def _checked(name: str, value: str) -> str:
+    if not UID.fullmatch(value):
+        raise ApiError(400, "bad-uid", f"{name} = {value[:MAX_SHOWN]!r}: 1 to 64 digits and dots are allowed")
+    return value
+
+
+def _study(study: Annotated[str, Path(description="Study Instance UID")]) -> str:
+    return _checked("study", study)
+
+
+def _series(series: Annotated[str, Path(description="Series Instance UID")]) -> str:
+    return _checked("series", series)
+
+
+def _instance(instance: Annotated[str, Path(description="SOP Instance UID")]) -> str:
+    return _checked("instance", instance)
+
+
+StudyUID = Annotated[str, Depends(_study)]
+SeriesUID = Annotated[str, Depends(_series)]
+InstanceUID = Annotated[str, Depends(_instance)]
+
+
+def indexer(request: Request) -> Indexer:
+    """The one that fills the index of this application."""
+    found: Indexer = request.app.state.dicom_indexer
+    return found
+
+
+def reader(caller: Read) -> None:
+    """raises: ApiError 401, 403 where the request must not read"""
+
+
+Indexing = Annotated[Indexer, Depends(indexer)]
+
+
+def service_url(request: Request) -> str:
+    """The address of this service as the client sees it, without a slash at the end."""
+    base = request.base_url
+    server = request.scope.get("server")
+    forwarded = any(name in request.headers for name in ("forwarded", "x-forwarded-for", "x-forwarded-host"))
+    if base.port is None and not forwarded and server is not None and server[1] not in (None, 80, 443):
+        base = base.replace(port=server[1])  # dicomweb-client leaves the port out of Host
+    return str(base).rstrip("/") + PREFIX
+
+
+def resource_url(request: Request, study: str, series: str | None = None, instance: str | None = None) -> str:
+    """The address of a study, series or instance."""
+    url = f"{service_url(request)}/studies/{study}"
+    if series is not None:
+        url += f"/series/{series}"
+    if instance is not None:
+        url += f"/instances/{instance}"
+    return url
+
+
+def find(indexing: Indexer, study: str, series: str | None = None, instance: str | None = None) -> list[Instance]:
+    """The objects of a resource. raises: ApiError 404 where there is none"""
+    index: DicomIndex = indexing.index
+    found = index.instances(study, series, instance)
+    if not found:
+        indexing.catch_up()  # of a case that has just succeeded
+        found = index.instances(study, series, instance)
+    if not found:
+        kind = "instance" if instance else "series" if series else "study"
+        raise ApiError(404, f"{kind}-not-found", f"there is no {kind} {instance or series or study}")
+    return found
+
+
+def require_files(served: Services, found: list[Instance]) -> None:
+    """raises: ApiError 410 where a file is not in the store any more"""
+    for item in found:
+        if not served.store.has(item.file):
+            raise ApiError(410, "expired", f"{item.name} is not in the store any more: post the case again")
