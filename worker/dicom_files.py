@@ -75,6 +75,7 @@ class _StoredFile(io.RawIOBase):
     """A stored file of which only what is read is fetched, from the disk or from object storage."""
 
     def __init__(self, store: Store, ref: FileRef) -> None:
+        self.name = ref.sha256  # pydicom asks buffered files for one
         self._store = store
         self._ref = ref
         self._position = 0
