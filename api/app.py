@@ -14,6 +14,7 @@ from api.auth import authenticate
 from api.deps import Services
 from api.dicomweb import routes as dicomweb
 from api.guard import Guard
+from api.requests import Requests
 from api.resources import PREFIX
 from simcore import __version__
 from simcore.spec import SimulationSpec
@@ -66,6 +67,7 @@ def create_app(settings: Settings | None = None, messenger: Messenger | None = N
     )
     errors.install(app)
     app.add_middleware(Guard)
+    app.add_middleware(Requests)
     for module in (simulations, events, artifacts, studies, phantoms, webhooks, catalog):
         app.include_router(module.router, prefix=PREFIX, dependencies=[Depends(authenticate)])
     app.include_router(dicomweb.router)

@@ -18,7 +18,9 @@ from fastapi import Depends, Request
 
 from api.deps import Services, services
 from api.errors import ApiError
+from worker import logs
 from worker.contract import SCOPES, Scope
+from worker.quotas import Submitter
 from worker.settings import is_loopback
 
 CHALLENGE = {"WWW-Authenticate": 'Bearer realm="tomosim", Basic realm="tomosim", charset="UTF-8"'}
@@ -44,6 +46,9 @@ ADMIN = Principal("admin", "key of the settings", frozenset(SCOPES), active_case
 
 def authenticate(request: Request) -> Principal:
     """Who asks. raises: ApiError 401, or 403 where a foreign page may stand behind a request without a key"""
+    known: Principal | None = getattr(request.state, "principal", None)
+    if known is not None:
+        return known
     served = services(request)
     secret = _secret(request.headers.get("authorization"))
     principal = _without_key(request, served) if secret is None else _with_key(secret, served)
@@ -63,6 +68,16 @@ def _needs(scope: Scope) -> Callable[[Principal], Principal]:
 
     return check
 
+
+def _submitter(request: Request, caller: Caller) -> Submitter:
+    settings = services(request).settings
+    active = settings.quota_active_cases if caller.active_cases is None else caller.active_cases
+    daily = settings.quota_cases_per_day if caller.cases_per_day is None else caller.cases_per_day
+    return Submitter(caller.id, logs.field("request"), active, daily)
+
+
+Submitting = Annotated[Submitter, Depends(_submitter)]
+"""Who posts cases, as their rows keep it. Goes with ``Write``."""
 
 Read = Annotated[Principal, Depends(_needs("read"))]
 Write = Annotated[Principal, Depends(_needs("write"))]

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import logging
 import math
 from collections.abc import Mapping
 from http import HTTPStatus
@@ -16,9 +15,9 @@ from starlette.exceptions import HTTPException
 from starlette.routing import Match
 
 from simcore.core.errors import ResourceLimitError, SimulationError, SpecError, StoreError
+from worker import logs
 from worker.jobs import NotFoundError
-
-log = logging.getLogger(__name__)
+from worker.quotas import QuotaError
 
 METHODS = ("GET", "HEAD", "POST", "PUT", "PATCH", "DELETE")
 
@@ -48,6 +47,7 @@ class Problem(BaseModel):
     code: str = Field(description="stable, machine-readable")
     detail: str
     instance: str
+    request_id: str | None = Field(None, description="X-Request-Id of this answer; log lines carry it")
     errors: list[ProblemItem] = []
 
 
@@ -82,6 +82,7 @@ def problem_response(path: str, error: ApiError) -> JSONResponse:
         "code": error.code,
         "detail": error.detail,
         "instance": path,
+        **({"request_id": identifier} if (identifier := logs.field("request")) else {}),
         **({"errors": error.errors} if error.errors else {}),
         **error.more,
     }
@@ -162,8 +163,7 @@ def install(app: FastAPI) -> None:
         detail = "; ".join(f"{item['parameter']} = {item['value']!r}: {item['detail']}" for item in items)
         return problem_response(request.url.path, ApiError(422, "invalid-request", detail, errors=items))
 
-    @app.exception_handler(Exception)
-    async def _unexpected(request: Request, error: Exception) -> Response:
-        log.exception("request failed", extra={"path": request.url.path}, exc_info=error)
-        detail = "a mistake in tomosim; the log of the API has the details"
-        return problem_response(request.url.path, ApiError(500, "internal-error", detail))
+    @app.exception_handler(QuotaError)
+    async def _quota(request: Request, error: QuotaError) -> Response:
+        headers = {} if error.retry_after is None else {"Retry-After": str(error.retry_after)}
+        return problem_response(request.url.path, ApiError(429, "quota", str(error), headers=headers))

@@ -29,6 +29,7 @@ from api.errors import ApiError
 from simcore.core.errors import SimulationError
 from worker.idempotency import Claim, Idempotency, KeyBusyError, KeyReusedError
 from worker.leases import NotFoundError
+from worker.quotas import QuotaError
 
 log = logging.getLogger(__name__)
 
@@ -36,7 +37,7 @@ HEADER = "Idempotency-Key"
 KEPT_HEADERS = ("content-type", "location", "retry-after")
 
 _KEY = re.compile(r"[\x21-\x7e]{1,255}")
-_REFUSALS = (ApiError, SimulationError, HTTPException, RequestValidationError, NotFoundError)
+_REFUSALS = (ApiError, SimulationError, HTTPException, RequestValidationError, NotFoundError, QuotaError)
 """What a route raises before it has done anything."""
 
 Handler = Callable[[Request], Coroutine[Any, Any, Response]]

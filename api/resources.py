@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, Literal
 from pydantic import BaseModel, Field
 
 from simcore.estimate import Estimate
-from worker.contract import State
+from worker.contract import Queue, State
 
 if TYPE_CHECKING:  # clients import this file; they need no database
     from worker.jobs import Simulation
@@ -60,6 +60,9 @@ class SimulationResource(BaseModel):
     finished_at: datetime | None
     progress: ProgressResource
     estimate: Estimate
+    queue: Queue = Field(description="interactive goes before batch")
+    submitted_by: str | None = Field(description="the API key that posted it; local: none was needed")
+    request_id: str | None = Field(description="of the request that posted it; log lines of the case carry it")
     error: FailureResource | None
     results: dict[str, Any] | None = Field(description="main numbers of a case that succeeded")
     study: StudyPlace | None = Field(None, description="of a case of a study")
@@ -119,6 +122,9 @@ def simulation_resource(row: Simulation, specification: dict[str, Any] | None = 
         finished_at=when(row.finished) if row.finished else None,
         progress=_progress(row),
         estimate=Estimate(**row.estimate),
+        queue=row.queue,
+        submitted_by=row.submitted_by,
+        request_id=row.request_id,
         error=FailureResource(**row.error) if row.error else None,
         results=row.results,
         study=_place(row),

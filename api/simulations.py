@@ -8,7 +8,7 @@ from typing import Annotated, Any
 from fastapi import APIRouter, Header, Query, Request, Response
 
 from api import pages
-from api.auth import Read, Write
+from api.auth import Read, Submitting, Write
 from api.conditions import none_match
 from api.deps import Identifier, PostedSpecification, Served, Services
 from api.errors import ApiError
@@ -19,7 +19,7 @@ from simcore.estimate import Estimate
 from simcore.phantom.upload import registry
 from simcore.phantom.upload.spec import UploadedPhantom
 from simcore.spec import SimulationSpec
-from worker.contract import State
+from worker.contract import Device, Priority, Queue, State, queue_of
 from worker.jobs import NotFoundError, Simulation, StateError
 
 log = logging.getLogger(__name__)
@@ -40,20 +40,26 @@ router = APIRouter(prefix="/simulations", tags=["simulations"], route_class=Idem
 @router.post("", status_code=202, openapi_extra=_BODY)
 def create(
     caller: Write,
+    submitter: Submitting,
     specification: PostedSpecification,
     served: Served,
     making: Making,
     request: Request,
     response: Response,
+    priority: Annotated[Priority, Query(description="interactive cases go before batch ones")] = "interactive",
+    device: Annotated[Device, Query(description="kind of worker; gpu where the service has one")] = "cpu",
 ) -> SimulationResource:
     """Takes a case into the queue."""
     data = specification.model_dump(mode="json")
+    queue = chosen_queue(served, priority, device)
     row = _made_before(served, making.identifier) if making.again else None
     if row is None:
         needs = _check(specification, served)
         served.store.require_space(needs.storage_bytes)
         name = specification.name.replace("\0", "")
-        row = served.jobs.create(data, needs.model_dump(mode="json"), name, identifier=making.identifier)
+        row = served.jobs.create(
+            data, needs.model_dump(mode="json"), name, queue, identifier=making.identifier, submitter=submitter
+        )
         send(served, row)
     response.headers.update({"Location": str(request.base_url).rstrip("/") + simulation_path(row.id), **RETRY_AFTER})
     return simulation_resource(row, data)
@@ -148,6 +154,14 @@ def delete(caller: Write, identifier: Identifier, served: Served) -> None:
         raise ApiError(
             409, "not-finished", f"the simulation is {error.state}: cancel it first, or wait for its end"
         ) from None
+
+
+def chosen_queue(served: Services, priority: Priority, device: Device) -> Queue:
+    """raises: ApiError 422 where there is no such worker"""
+    if device == "gpu" and not served.settings.gpu:
+        item = {"parameter": "device", "value": device, "detail": "allowed here: cpu"}
+        raise ApiError(422, "invalid-request", "device = 'gpu': there is no worker with one; use cpu", errors=[item])
+    return queue_of(priority, device)
 
 
 def _check(specification: SimulationSpec, served: Services) -> Estimate:

@@ -16,7 +16,7 @@ from celery import Celery, signals
 from sqlalchemy.exc import SQLAlchemyError
 
 from worker import logs, schema
-from worker.contract import QUEUES, TASK_SIMULATE
+from worker.contract import TASK_SIMULATE
 from worker.database import connect
 from worker.fleet import BEAT_SECONDS, Fleet
 from worker.jobs import Jobs
@@ -52,7 +52,7 @@ class Worker:
             "worker",
             "--pool=threads",
             f"--concurrency={self.settings.worker_slots}",
-            f"--queues={','.join(QUEUES)}",
+            f"--queues={','.join(self.settings.queue_names)}",
             f"--hostname=tomosim-{os.getpid()}@%h",
             f"--loglevel={self.settings.log_level}",
             "--without-gossip",

@@ -3,7 +3,7 @@
 Commands come in on standard input, messages go out on a descriptor of their own, both as lines of JSON; what
 libraries print goes to standard error. It runs one case at a time and stays warm in between.
 
-    in    {"specification": {...}}
+    in    {"specification": {...}, "log": {fields of its log lines}}
     out   {"type": "ready", "stages": [...]}
           {"type": "progress", "stage", "stages_done", "stages_total", "fraction", "message"}
           {"type": "succeeded", "manifest": {...}}
@@ -14,18 +14,19 @@ from __future__ import annotations
 
 import importlib
 import json
+import logging
 import os
 import resource
 import signal
 import sys
 import time
-import traceback
 from collections.abc import Callable
 from typing import IO, Any
 
 from simcore.core.errors import SimulationError
 from simcore.core.store import Store
 from simcore.spec import SimulationSpec
+from worker import logs
 from worker.contract import INTERNAL_ERROR, OUT_OF_MEMORY
 from worker.settings import Settings
 from worker.storage import open_store
@@ -38,6 +39,8 @@ OUT_OF_MEMORY_EXIT = 77
 """After a MemoryError the process ends: what is left of it may be in pieces."""
 
 Json = dict[str, Any]
+
+log = logging.getLogger("worker.compute")  # this module's own name is __main__
 
 
 class Messages:
@@ -61,16 +64,24 @@ class Reporter:
         self._messages = messages
         self._stages = stages
         self._last: tuple[str, float] = ("", 0.0)
+        self._began = 0.0
+        self._logged = ""
 
     def __call__(self, stage: str, fraction: float, message: str, *, cached: bool = False) -> None:
         if stage not in self._stages:
             self._stages = [*self._stages, stage]
         last_stage, told = self._last
         now = time.monotonic()
+        if stage != last_stage:
+            self._began = now
         if stage == last_stage and fraction < 1 and now - told < MIN_INTERVAL_SECONDS:
             return
         self._last = (stage, now)
+        logs.add(stage=stage)
         done = fraction >= 1
+        if done and stage != self._logged:
+            self._logged = stage
+            log.info("stage done", extra={"cached": cached, "seconds": round(now - self._began, 3)})
         self._messages.send(
             "progress",
             stage=stage,
@@ -87,17 +98,20 @@ def main() -> None:
     die_with_parent(int(sys.argv[2]))
     settings = Settings.load()
     commands = _take_standard_streams()
+    logs.configure(settings.log_level)
     _limit_memory(settings.memory_limit)
     try:
         run, stages = _pipeline(settings.pipeline)
         store = open_store(settings)
     except Exception as error:  # said to the supervisor, which reports it as the failure of the next case
-        traceback.print_exc()
+        log.exception("the pipeline or the store cannot be loaded")
         messages.send("failed", error=error.to_dict() if isinstance(error, SimulationError) else _unexpected(error))
         sys.exit(1)
     messages.send("ready", stages=stages)
     for line in commands:
-        _run_case(run, store, json.loads(line)["specification"], messages, stages, settings)
+        command = json.loads(line)
+        with logs.context(**command["log"]):
+            _run_case(run, store, command["specification"], messages, stages, settings)
 
 
 def _run_case(
@@ -112,14 +126,14 @@ def _run_case(
         result = run(SimulationSpec.from_dict(specification), store, Reporter(messages, stages))
         messages.send("succeeded", manifest=result.manifest)
     except SimulationError as error:
-        traceback.print_exc()
+        log.exception("case failed")
         messages.send("failed", error=error.to_dict())
     except MemoryError:
-        traceback.print_exc()
+        log.exception("case failed")
         messages.send("failed", error=out_of_memory(settings.memory_limit))
         os._exit(OUT_OF_MEMORY_EXIT)
     except Exception as error:
-        traceback.print_exc()
+        log.exception("case failed")
         messages.send("failed", error=_unexpected(error))
 
 

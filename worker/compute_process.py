@@ -70,14 +70,14 @@ class ComputeProcess:
     def alive(self) -> bool:
         return not self._closed and self._process.poll() is None
 
-    def run(self, specification: Json) -> None:
-        """Hands over a case; for a process that is ready.
+    def run(self, specification: Json, log_fields: Json) -> None:
+        """Hands over a case; for a process that is ready. log_fields: stand in the lines it logs.
 
         raises: ComputeDiedError
         """
         assert self._process.stdin is not None
         try:
-            self._process.stdin.write(json.dumps({"specification": specification}).encode() + b"\n")
+            self._process.stdin.write(json.dumps({"specification": specification, "log": log_fields}).encode() + b"\n")
             self._process.stdin.flush()
         except OSError:
             raise ComputeDiedError(self._exit_code()) from None

@@ -14,9 +14,22 @@ ACTIVE_STATES: tuple[State, ...] = ("running", "cancelling")
 TASK_SIMULATE = "tomosim.simulate"
 """Name of the Celery task; its one argument is the identifier of a simulation."""
 
-Queue = Literal["interactive", "batch", "delivery"]
+Queue = Literal["interactive", "delivery", "batch", "gpu.interactive", "gpu.batch"]
 QUEUES: tuple[Queue, ...] = get_args(Queue)
+"""In the order in which a worker looks into those that it serves."""
+
 DEFAULT_QUEUE: Queue = "interactive"
+
+Priority = Literal["interactive", "batch"]
+Device = Literal["cpu", "gpu"]
+
+
+def queue_of(priority: Priority, device: Device = "cpu") -> Queue:
+    """The queue of a case."""
+    if device == "gpu":
+        return "gpu.batch" if priority == "batch" else "gpu.interactive"
+    return priority
+
 
 Scope = Literal["read", "write", "deliver", "admin"]
 """What an API key may do. read: look and download; write: cases, studies, phantoms, webhooks; deliver: send to a

@@ -8,13 +8,16 @@ from typing import Any, ClassVar, cast
 
 import sqlalchemy as sa
 
-from worker import webhooks
+from worker import quotas, webhooks
 from worker.contract import DEFAULT_QUEUE, EVENT_PROGRESS, EVENT_STATE, Queue, State, WebhookEvent
 from worker.database import events, reading, simulations
 from worker.leases import Event as Event
 from worker.leases import Json, Leased, Leases
 from worker.leases import NotFoundError as NotFoundError
 from worker.leases import StateError as StateError
+from worker.quotas import Submitter
+
+UNKNOWN = Submitter("local")
 
 
 @dataclass(frozen=True)
@@ -33,6 +36,8 @@ class Simulation(Leased):
     study_id: str | None
     study_number: int | None
     coordinates: Json | None
+    submitted_by: str | None
+    request_id: str | None
 
 
 @dataclass(frozen=True)
@@ -65,10 +70,12 @@ class Jobs(Leases[Simulation]):
         name: str = "",
         queue: Queue = DEFAULT_QUEUE,
         identifier: str | None = None,
+        submitter: Submitter = UNKNOWN,
     ) -> Simulation:
         """A new queued simulation; its message is sent after this has returned.
 
         identifier: a new one where not given.
+        raises: QuotaError where the submitter may have no more.
         """
         identifier = identifier or uuid.uuid4().hex
         row = {
@@ -79,8 +86,10 @@ class Jobs(Leases[Simulation]):
             "estimate": estimate,
             "queue": queue,
             "created": self.clock(),
+            **submitter.columns(),
         }
         with self.engine.begin() as connection:
+            quotas.require(connection, submitter, 1, row["created"])
             connection.execute(simulations.insert().values(row))
             self._record(connection, identifier, 1, EVENT_STATE, {"state": "queued"})
             return self._one(connection, identifier)
@@ -103,6 +112,10 @@ class Jobs(Leases[Simulation]):
         """The newest simulations first; ``before``: (created, id) of the last one already seen."""
         asked = {simulations.c.state: state, simulations.c.study_id: study_id}
         return self._page(limit, before, *(column == value for column, value in asked.items() if value is not None))
+
+    def sent_to(self, queue: Queue, before: float) -> list[Simulation]:
+        """Queued simulations whose message was sent to this queue before that time, oldest first."""
+        return self._queued(sa.and_(simulations.c.queue == queue, simulations.c.sent < before), limit=100)
 
     def progress(self, identifier: str, owner: str, progress: StageProgress) -> bool:
         """Records progress and renews the lease; False where the job is not the owner's any more."""

@@ -6,7 +6,7 @@ from typing import Any, Protocol
 
 from celery import Celery
 
-from worker.contract import DEFAULT_QUEUE, QUEUES, TASK_SIMULATE, Queue
+from worker.contract import DEFAULT_QUEUE, TASK_SIMULATE, Queue
 from worker.settings import Settings
 
 CONNECT_SECONDS = 2.0
@@ -18,8 +18,8 @@ class Messenger(Protocol):
     def send(self, identifier: str, queue: Queue = DEFAULT_QUEUE) -> None:
         """Sends a message for a simulation. raises: Exception where the broker does not take it"""
 
-    def waiting(self) -> int:
-        """Messages that no worker has taken yet. raises: Exception where the broker does not answer"""
+    def waiting(self, queue: Queue) -> int:
+        """Messages of a queue that no worker has taken yet. raises: Exception where the broker does not answer"""
 
     def ping(self) -> None:
         """raises: Exception where the broker does not answer"""
@@ -44,6 +44,9 @@ def create_celery(settings: Settings) -> Celery:
         task_create_missing_queues=True,
         broker_transport_options={
             "visibility_timeout": settings.visibility_timeout,
+            # A free slot looks into its queues in their order, not in turn: batches never hold up what somebody waits
+            # for, beyond the cases that run already.
+            "queue_order_strategy": "priority",
             "socket_connect_timeout": CONNECT_SECONDS,
         },
     )
@@ -60,9 +63,9 @@ class CeleryMessenger:
         with self._connection() as connection:
             self._app.send_task(TASK_SIMULATE, args=[identifier], queue=queue, connection=connection, retry=False)
 
-    def waiting(self) -> int:
+    def waiting(self, queue: Queue) -> int:
         with self._connection() as connection:
-            return sum(_waiting(connection, name) for name in QUEUES)
+            return _waiting(connection, queue)
 
     def ping(self) -> None:
         with self._connection() as connection:

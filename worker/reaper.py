@@ -8,6 +8,7 @@ from __future__ import annotations
 import logging
 import threading
 
+from worker.contract import QUEUES
 from worker.fleet import Fleet
 from worker.idempotency import Idempotency
 from worker.jobs import Jobs, Simulation
@@ -45,12 +46,13 @@ class Reaper:
             log.warning("lease ran out", extra={"simulation": identifier})
         for job in self.jobs.unsent():
             self._send(job)
-        lost = self.jobs.sent_before(self.jobs.clock() - self.settings.resend_seconds)
-        # Behind a long queue a message waits for hours. It is lost only where the broker has none left.
-        if lost and self.messenger.waiting() == 0:
-            for job in lost:
-                log.warning("message was lost", extra={"simulation": job.id})
-                self._send(job)
+        for queue in QUEUES:
+            lost = self.jobs.sent_to(queue, self.jobs.clock() - self.settings.resend_seconds)
+            # Behind a long queue a message waits for hours. It is lost only where the broker has none left there.
+            if lost and self.messenger.waiting(queue) == 0:
+                for job in lost:
+                    log.warning("message was lost", extra={"simulation": job.id})
+                    self._send(job)
         self.fleet.forget(FORGET_WORKERS_SECONDS)
         self.idempotency.forget()
 

@@ -17,6 +17,7 @@ from pydantic_settings import BaseSettings, SettingsConfigDict
 from simcore.core.bucket import Location
 from simcore.core.errors import SimulationError, StoreError
 from simcore.core.memory import physical_bytes
+from worker.contract import QUEUES
 
 ENV_PREFIX = "TOMOSIM_"
 
@@ -71,7 +72,19 @@ class Settings(BaseSettings):
     min_free_bytes: int = Field(
         1 << 30, ge=0, description="no stage is started, no case or phantom taken, with less free space [byte]"
     )
+    quota_active_cases: int = Field(
+        0,
+        ge=0,
+        description="cases an API key may have queued or running at a time, unless it has its own quota; 0: any",
+    )
+    quota_cases_per_day: int = Field(
+        0, ge=0, description="cases an API key may post within 24 hours, unless it has its own quota; 0: any"
+    )
     worker_slots: int = Field(1, ge=1, le=64, description="cases one worker computes at a time")
+    queues: str = Field(
+        "interactive,delivery,batch", description="queues that a worker serves, the first that has a message first"
+    )
+    gpu: bool = Field(False, description="whether cases may ask for a worker of the gpu queues")
     threads_per_slot: int = Field(0, ge=0, le=1024, description="threads of a case; 0: cores / worker slots")
     memory_limit_bytes: int = Field(
         0, ge=0, description="memory a case may use [byte]; 0: 0.8 of the machine / worker slots"
@@ -94,6 +107,14 @@ class Settings(BaseSettings):
     pipeline: str = Field(
         "simcore.pipeline:run", description="module:function that runs a case; another one for tests only"
     )
+
+    @field_validator("queues")
+    @classmethod
+    def _known_queues(cls, value: str) -> str:
+        names = _names(value)
+        if not names or len(set(names)) < len(names) or not set(names) <= set(QUEUES):
+            raise ValueError(f"names of queues with commas between them; there are: {', '.join(QUEUES)}")
+        return value
 
     @field_validator("data_folder")
     @classmethod
@@ -175,6 +196,11 @@ class Settings(BaseSettings):
         return self.broker_url or f"redis+socket://{self.broker_socket}?virtual_host=0"
 
     @property
+    def queue_names(self) -> list[str]:
+        """The queues of a worker, the most urgent first."""
+        return _names(self.queues)
+
+    @property
     def threads(self) -> int:
         """Threads of one case."""
         cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
@@ -227,6 +253,10 @@ def is_loopback(host: str) -> bool:
         return ipaddress.ip_address(host.strip("[]")).is_loopback
     except ValueError:
         return False
+
+
+def _names(text: str) -> list[str]:
+    return [name for part in text.split(",") if (name := part.strip())]
 
 
 def _problem(item: object) -> str:

@@ -9,12 +9,14 @@ from typing import Any, Literal, get_args
 
 import sqlalchemy as sa
 
-from worker.contract import EVENT_STATE, FINAL_STATES, State
+from worker import quotas
+from worker.contract import EVENT_STATE, FINAL_STATES, Queue, State
 from worker.database import events, metadata, reading, simulations
-from worker.jobs import Jobs, Simulation
+from worker.jobs import UNKNOWN, Jobs, Simulation
 from worker.leases import Json, NotFoundError
+from worker.quotas import Submitter
 
-STUDY_QUEUE = "batch"
+STUDY_QUEUE: Queue = "batch"
 
 StudyState = Literal["queued", "running", "cancelling", "succeeded", "partial", "failed", "cancelled"]
 """Follows from the states of the cases; partial: some succeeded and some did not."""
@@ -104,11 +106,13 @@ class Studies:
         estimate: Json,
         cases: Sequence[NewCase],
         identifier: str | None = None,
-        submitted_by: str | None = None,
+        queue: Queue = STUDY_QUEUE,
+        submitter: Submitter = UNKNOWN,
     ) -> Study:
         """A new study and all its cases, queued, in one transaction. Their messages are sent after this has returned.
 
-        identifier: a new one where not given. submitted_by: the API key.
+        identifier: a new one where not given.
+        raises: QuotaError where the submitter may not have so many more.
         """
         identifier = identifier or uuid.uuid4().hex
         now = self.jobs.clock()
@@ -120,10 +124,10 @@ class Studies:
             "estimate": estimate,
             "cases": len(cases),
             "created": now,
-            "submitted_by": submitted_by,
+            "submitted_by": submitter.id,
         }
         rows = [
-            _case_row(identifier, number, case, now) | {"submitted_by": submitted_by}
+            _case_row(identifier, number, case, now) | {"queue": queue, **submitter.columns()}
             for number, case in enumerate(cases, start=1)
         ]
         first_events = [
@@ -131,6 +135,7 @@ class Studies:
             for r in rows
         ]
         with self.engine.begin() as connection:
+            quotas.require(connection, submitter, len(cases), now)
             connection.execute(studies.insert().values(row))
             # With RETURNING many rows go into one statement on every database.
             connection.execute(simulations.insert().returning(simulations.c.id), rows)
@@ -240,7 +245,6 @@ def _case_row(study_id: str, number: int, case: NewCase, now: float) -> dict[str
         "state": "queued",
         "specification": case.specification,
         "estimate": case.estimate,
-        "queue": STUDY_QUEUE,
         # Whatever goes by age takes the cases in their order.
         "created": now + 1e-6 * number,
         "study_id": study_id,

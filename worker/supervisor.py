@@ -15,6 +15,7 @@ from typing import Any
 
 from sqlalchemy.exc import SQLAlchemyError
 
+from worker import logs
 from worker.compute_process import ComputeDiedError, ComputeProcess
 from worker.contract import INTERNAL_ERROR, OUT_OF_MEMORY, TIMEOUT, State
 from worker.jobs import Jobs, Simulation, StageProgress
@@ -75,15 +76,19 @@ class Slot:
         if job is None:
             log.info("not queued: message ignored", extra={"simulation": identifier})
             return
-        log.info("started", extra={"simulation": identifier, "attempt": job.attempt})
+        with logs.context(**_log_fields(job)):
+            self._run(job, owner)
+
+    def _run(self, job: Simulation, owner: str) -> None:
+        log.info("started")
         try:
-            finish = self._supervise(job, owner, self.jobs.specification(identifier))
+            finish = self._supervise(job, owner, self.jobs.specification(job.id))
         except Exception as error:
-            log.exception("supervision failed", extra={"simulation": identifier})
+            log.exception("supervision failed")
             self.kill()
             finish = self._failure(job, owner, _internal(error))
         kept = self._write(finish)
-        log.info("ended", extra={"simulation": identifier, "kept": kept})
+        log.info("ended", extra={"kept": kept})
         if not self.stopping.is_set():
             self.warm_up()
 
@@ -93,7 +98,7 @@ class Slot:
         try:
             process = self.warm_up()
             if process.ready:
-                process.run(specification)
+                process.run(specification, _log_fields(job))
             while True:
                 message = process.receive(POLL_SECONDS)
                 if self.stopping.is_set():
@@ -113,7 +118,7 @@ class Slot:
                         return _nothing_to_write
                 match message and message["type"]:
                     case "ready":
-                        process.run(specification)
+                        process.run(specification, _log_fields(job))
                     case "progress":
                         watch.progress(_stage_progress(message or {}))
                     case "succeeded":
@@ -126,7 +131,7 @@ class Slot:
                         return self._failure(job, owner, error)
         except ComputeDiedError as died:
             error = died.error
-            log.warning("compute process ended", extra={"simulation": job.id, "error": error})
+            log.warning("compute process ended", extra={"error": error})
             self.kill()
             if not died.by_signal:
                 return self._failure(job, owner, error)
@@ -143,7 +148,7 @@ class Slot:
             try:
                 return finish()
             except SQLAlchemyError:
-                log.exception("the database does not answer", extra={"attempt": attempt})
+                log.exception("the database does not answer", extra={"try": attempt})
                 time.sleep(1.0)
         return False
 
@@ -176,7 +181,7 @@ class _Watch:
             else:
                 state = self.jobs.state_of(self.identifier, self.owner)
         except SQLAlchemyError:
-            log.exception("the database does not answer", extra={"simulation": self.identifier})
+            log.exception("the database does not answer")
             return "running" if now - self.renewed < self.lease_seconds else "lost"
         return state or "lost"
 
@@ -186,7 +191,7 @@ class _Watch:
             if self.jobs.progress(self.identifier, self.owner, progress):
                 self.renewed = time.monotonic()
         except SQLAlchemyError:
-            log.exception("progress not recorded", extra={"simulation": self.identifier})
+            log.exception("progress not recorded")
 
 
 class Slots:
@@ -218,6 +223,11 @@ class Slots:
         """Ends every compute process."""
         for slot in self._all:
             slot.kill()
+
+
+def _log_fields(job: Simulation) -> Json:
+    """What stands in every line about a case, here and in the compute process."""
+    return {"simulation": job.id, "attempt": job.attempt, "request": job.request_id}
 
 
 def _nothing_to_write() -> bool:

@@ -10,16 +10,16 @@ from fastapi import APIRouter, BackgroundTasks, Depends, Header, Query, Request,
 from fastapi.responses import JSONResponse
 
 from api import pages
-from api.auth import Read, Write
+from api.auth import Read, Submitting, Write
 from api.conditions import none_match
 from api.deps import Served, Services, StudyIdentifier, read_json
 from api.errors import ApiError
 from api.idempotency import IdempotentRoute, Making
-from api.simulations import RETRY_AFTER, send
+from api.simulations import RETRY_AFTER, chosen_queue, send
 from api.studies.checking import check
 from api.studies.resources import StudyEstimate, StudyPage, StudyResource, study_path, study_resource
 from simcore.study import StudySpec, columns
-from worker.contract import State
+from worker.contract import Device, Priority, State
 from worker.jobs import NotFoundError
 from worker.studies import Study
 
@@ -49,14 +49,18 @@ PostedStudy = Annotated[StudySpec, Depends(_posted_study)]
 @router.post("", status_code=202, openapi_extra=_BODY)
 def create(
     caller: Write,
+    submitter: Submitting,
     study: PostedStudy,
     served: Served,
     making: Making,
     request: Request,
     response: Response,
     background: BackgroundTasks,
+    priority: Annotated[Priority, Query(description="interactive cases go before batch ones")] = "batch",
+    device: Annotated[Device, Query(description="kind of worker; gpu where the service has one")] = "cpu",
 ) -> StudyResource:
     """Takes a study: all its cases are validated and queued, or none."""
+    queue = chosen_queue(served, priority, device)
     row = _made_before(served, making.identifier) if making.again else None
     if row is None:
         checked = check(study, served)
@@ -69,7 +73,8 @@ def create(
             checked.needs.model_dump(),
             checked.cases,
             making.identifier,
-            caller.id,
+            queue,
+            submitter,
         )
     background.add_task(_send_first, served, row.id)
     response.headers.update({"Location": str(request.base_url).rstrip("/") + study_path(row.id), **RETRY_AFTER})

@@ -29,8 +29,8 @@ class FakeBroker:
         self.ping()
         self.messages.append((identifier, queue))
 
-    def waiting(self) -> int:
-        return len(self.messages)
+    def waiting(self, queue: str) -> int:
+        return sum(sent_to == queue for _, sent_to in self.messages)
 
     def ping(self) -> None:
         if self.down:

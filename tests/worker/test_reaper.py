@@ -20,8 +20,8 @@ class FakeBroker:
             raise ConnectionError("the broker is down")
         self.messages.append((identifier, queue))
 
-    def waiting(self):
-        return len(self.messages)
+    def waiting(self, queue):
+        return sum(sent_to == queue for _, sent_to in self.messages)
 
     def ping(self):
         pass
@@ -73,6 +73,19 @@ def test_a_long_queue_is_not_doubled(reaper, jobs, broker, clock):
     clock.now += 3600
     reaper.sweep()
     assert len(broker.messages) == 5
+
+
+def test_a_lost_message_is_sent_again_while_another_queue_is_long(reaper, jobs, broker, clock):
+    for _ in range(120):
+        jobs.create({}, {}, queue="batch")
+    lost = jobs.create({}, {}).id
+    reaper.sweep()
+    reaper.sweep()
+    broker.messages.remove((lost, "interactive"))
+    clock.now += 31
+    reaper.sweep()
+    assert broker.messages.count((lost, "interactive")) == 1
+    assert len(broker.messages) == 121
 
 
 def test_a_lost_worker_is_noticed(reaper, jobs, broker, clock):

@@ -1,5 +1,6 @@
 """A worker slot with a real compute process: every way a case can end, and the next one still works."""
 
+import json
 import os
 import signal
 import subprocess
@@ -12,6 +13,7 @@ import pytest
 from worker.database import connect, create_tables
 from worker.jobs import Jobs
 from worker.processes import environment
+from worker.quotas import Submitter
 from worker.supervisor import Slot, Slots
 
 PATIENCE_SECONDS = 60
@@ -287,7 +289,7 @@ def test_compute_process_dies_with_its_parent(make_settings):
         "import sys, time; from worker.compute_process import ComputeProcess; from worker.settings import Settings\n"
         "process = ComputeProcess(Settings.load())\n"
         "while not process.ready: process.receive(1)\n"
-        "process.run({'name': 'silent'})\n"  # it does not see that nobody listens any more
+        "process.run({'name': 'silent'}, {})\n"  # it does not see that nobody listens any more
         "while (process.receive(60) or {}).get('stage') != 'preview': pass\n"
         "print(process.pid, flush=True); time.sleep(600)"
     )
@@ -298,3 +300,17 @@ def test_compute_process_dies_with_its_parent(make_settings):
     parent.kill()
     parent.wait()
     wait_for(lambda: not is_alive(child), "the end of the compute process")
+
+
+def test_log_lines_of_the_compute_process_name_their_case(slot, jobs, capfd):
+    first = jobs.create({"name": "refuse"}, {"seconds": 1.0}, submitter=Submitter("local", "request-1")).id
+    second = jobs.create({"name": "fine"}, {"seconds": 1.0}, submitter=Submitter("local", "request-2")).id
+    slot.run(first)
+    slot.run(second)
+    lines = [json.loads(line) for line in capfd.readouterr().err.splitlines() if line.startswith('{"time"')]
+    [failed] = [line for line in lines if line["message"] == "case failed"]
+    assert (failed["simulation"], failed["request"], failed["attempt"]) == (first, "request-1", 1)
+    assert failed["stage"] == "preview"
+    assert "SolverError" in failed["exception"]
+    done = [line for line in lines if line["message"] == "stage done" and line["simulation"] == second]
+    assert [(line["stage"], line["request"]) for line in done] == [("dicom", "request-2"), ("preview", "request-2")]
