@@ -12,7 +12,6 @@ from pydicom.uid import BreastProjectionXRayImageStorageForProcessing
 from simcore.dicom.common import (
     Instance,
     date_time,
-    decimal,
     dimensions,
     erect,
     functional_groups,
@@ -30,9 +29,9 @@ from simcore.dicom.study import (
     set_breast_image,
     set_compression,
     set_detector,
-    set_no_dose,
-    set_source,
+    set_exposure,
 )
+from simcore.dicom.values import decimal
 
 SOP_CLASS = BreastProjectionXRayImageStorageForProcessing
 IMAGE_TYPE = ["ORIGINAL", "PRIMARY", "TOMO_PROJ", "NONE"]
@@ -47,7 +46,7 @@ def breast_projection_image(study: Study) -> Instance:
     dataset.ImageType = IMAGE_TYPE
     dataset.ContentQualification = "RESEARCH"
     dataset.AcquisitionDateTime = date_time(study.spec)
-    dataset.AcquisitionDuration = 0.0
+    dataset.AcquisitionDuration = study.exposure.seconds
     dataset.PositionerMotion = "ROTATION_STEP"
     dataset.PositionerType = "MAMMOGRAPHIC"
     dataset.TypeOfDetectorMotion = detector_motion(study.stack.geometry)
@@ -57,11 +56,8 @@ def breast_projection_image(study: Study) -> Instance:
     dataset.PresentationLUTShape = "INVERSE"
     set_detector(dataset, study)
     set_compression(dataset, study)
-    set_source(dataset, study)
-    set_no_dose(dataset)
-    dataset.ExposureInmAs = 0.0
-    dataset.ExposureTimeInms = 0.0
-    dataset.XRayTubeCurrentInmA = 0.0
+    set_exposure(dataset, study)
+    dataset.update(item(**study.exposure.load(1.0)))
 
     dataset.NumberOfFrames = views
     dataset.RepresentativeFrameNumber = views // 2 + 1
@@ -106,7 +102,7 @@ def _shared_groups(study: Study) -> Dataset:
             CollimatorLowerHorizontalEdge=detector.ny,
         ),
         XRayGrid=item(Grid="NONE"),
-        XRayFilter=item(FilterType="NONE"),
+        XRayFilter=item(**study.exposure.filter()),
         IrradiationEventIdentification=item(IrradiationEventUID=study.ids.irradiation_event),
     )
 
@@ -114,6 +110,7 @@ def _shared_groups(study: Study) -> Dataset:
 def _frame_groups(study: Study, view: int) -> Dataset:
     frames = study.frames
     beam = study.beam(view)
+    load = study.exposure.load(study.view_share)
     angle = float(study.stack.geometry.angles[view])
     # Views are ordered by tube angle, so the index of the dimension is the number of the view.
     return functional_groups(
@@ -138,7 +135,11 @@ def _frame_groups(study: Study, view: int) -> Dataset:
             DistanceSourceToEntrance=decimal(beam.entrance),
             EstimatedRadiographicMagnificationFactor=decimal(beam.magnification),
         ),
-        XRayAcquisitionDose=item(ExposureTimeInms=0.0, ExposureInmAs=0.0, OrganDose="0", EntranceDoseInmGy="0"),
-        FrameAcquisition=item(KVP=decimal(study.case.energy_keV), XRayTubeCurrentInmA=0.0),
+        XRayAcquisitionDose=item(
+            ExposureTimeInms=load["ExposureTimeInms"],
+            ExposureInmAs=load["ExposureInmAs"],
+            **study.exposure.dose(study.view_share),
+        ),
+        FrameAcquisition=item(KVP=decimal(study.exposure.peak_kV), XRayTubeCurrentInmA=load["XRayTubeCurrentInmA"]),
         IsocenterReferenceSystem=isocenter_item(frames, view),
     )

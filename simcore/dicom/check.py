@@ -32,6 +32,13 @@ ALLOWED_ERRORS: dict[str, tuple[str, ...]] = {
 }
 """Errors of dciodvfy that are none, by the name of the object."""
 
+PROFILES = {
+    "MammographyImageForProcessing": "IHEMammo",
+    "MammographyImageForPresentation": "IHEMammo",
+    "BreastTomosynthesisImage": "IHEDBT",
+}
+"""IHE profiles that dciodvfy knows the attributes of."""
+
 ALLOWED_WARNINGS = (
     r"</\(0099,1001,",  # the private block
     r"CodingSchemeDesignator\(0008,0102\)\[1\]> - Unrecognized defined term = <99TOMOSIM>",
@@ -40,7 +47,8 @@ ALLOWED_WARNINGS = (
     r"FilterMaterial\(0018,7050\)\[1\]> - Unrecognized defined term = <NONE>",
     # Dose, tube load and detector temperature are not modelled and stand as zero.
     r"/(OrganDose|EntranceDoseInmGy|HalfValueLayer|FrameAcquisitionDuration|ExposureTimeInms|ExposureInmAs|"
-    r"XRayTubeCurrentInmA|RelativeXRayExposure|DetectorTemperature)\([0-9a-f,]{9}\)\[1\]> - Value is zero",
+    r"XRayTubeCurrentInmA|Exposure|ExposureInuAs|ExposureTime|XRayTubeCurrent|RelativeXRayExposure|"
+    r"DetectorTemperature)\([0-9a-f,]{9}\)\[1\]> - Value is zero",
     # Terms of the standard that the tool does not list for this object.
     r"FrameType\(0008,9007\)\[3\]> - Unrecognized defined term = <TOMO_PROJ>",
     r"ViewPosition\(0018,5101\)\[1\]> - Unrecognized defined term = <(CC|MLO)>",
@@ -89,10 +97,12 @@ def verdicts(files: Iterable[Path]) -> list[Verdict]:
 
 
 def check_object(file: Path) -> Verdict:
-    """dciodvfy and the codes of one file."""
+    """dciodvfy, the IHE profile of the object where there is one, and the codes of one file."""
     lines = _run("dciodvfy", "-new", str(file))
     names = [line.strip() for line in lines if re.fullmatch(r"[A-Za-z0-9]+\s*", line)]
     name = names[0] if names else ""
+    if name in PROFILES:
+        lines += _run("dciodvfy", "-new", "-profile", PROFILES[name], str(file))
     errors = [line for line in lines if line.startswith(("Error", "Abort"))]
     warnings = [line for line in lines if line.startswith("Warning")]
     return Verdict(

@@ -13,18 +13,16 @@ from pydicom.dataset import Dataset, FileMetaDataset
 from pydicom.filewriter import dcmwrite
 from pydicom.sequence import Sequence
 from pydicom.uid import ExplicitVRLittleEndian
-from pydicom.valuerep import format_number_as_ds
 
 from simcore.dicom.identity import IMPLEMENTATION_UID, CaseDescription, Identifiers
 from simcore.dicom.pixels import TRANSFER_SYNTAXES, Frames, write_encoded, write_plain
 from simcore.dicom.spec import ExportSpec
+from simcore.dicom.values import decimal
 
 PRIVATE_GROUP = 0x0099
 PRIVATE_CREATOR = "TOMOSIM 1"
 MANUFACTURER = "tomosim (open source)"
 MODEL = "tomosim"
-
-NOT_MODELLED = "monoenergetic simulation: peak kV is the photon energy; tube load and dose not modelled, stand as 0"
 
 _VIEW_CODES = {"CC": ("399162004", "cranio-caudal"), "MLO": ("399368009", "medio-lateral oblique")}
 
@@ -45,11 +43,6 @@ def items(*datasets: Dataset) -> Sequence:
 def code(value: str, scheme: str, meaning: str) -> Dataset:
     """A coded concept."""
     return item(CodeValue=value, CodingSchemeDesignator=scheme, CodeMeaning=meaning)
-
-
-def decimal(value: float) -> str:
-    """A number as decimal string (DS) of at most 16 characters; noise below 1e-12 and the sign of zero dropped."""
-    return str(format_number_as_ds(round(float(value), 12) + 0.0))
 
 
 def private_json(dataset: Dataset, document: dict[str, Any]) -> None:

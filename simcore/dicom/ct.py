@@ -12,15 +12,14 @@ from pydicom.uid import CTImageStorage
 
 from simcore.core.errors import ExportError
 from simcore.dicom.common import (
-    NOT_MODELLED,
     Instance,
     breast_code,
     date_time,
-    decimal,
     items,
     set_pixels,
 )
 from simcore.dicom.study import CT, Study, source_volume
+from simcore.dicom.values import decimal
 
 
 def files(study: Study) -> Iterator[tuple[str, Callable[[], Instance]]]:
@@ -59,14 +58,14 @@ def ct_image(study: Study, k: int) -> Instance:
     dataset.BodyPartExamined = "BREAST"
     dataset.AnatomicRegionSequence = breast_code()
     dataset.ImageType = ["DERIVED", "PRIMARY", "AXIAL"]
-    dataset.ImageComments = f"tomosynthesis reconstruction, {study.case.reconstruction}; {NOT_MODELLED}"
+    dataset.ImageComments = f"tomosynthesis reconstruction, {study.case.reconstruction}; {study.exposure.remark}"
     dataset.AcquisitionDate, dataset.AcquisitionTime = spec.date, spec.time
     dataset.AcquisitionDateTime = date_time(spec)
     dataset.AcquisitionNumber = 1
     dataset.QualityControlImage = "YES"
     dataset.BurnedInAnnotation = "NO"
     dataset.LossyImageCompression = "00"
-    dataset.KVP = decimal(study.case.energy_keV)
+    dataset.KVP = decimal(study.exposure.peak_kV)
     dataset.PixelSpacing = [sy, sx]
     dataset.SliceThickness = dataset.SpacingBetweenSlices = sz
     dataset.ImageOrientationPatient = study.frames.image_orientation()

@@ -24,8 +24,10 @@ EVENED = 0.8
 DETAIL_MM = 1.0
 DETAIL_GAIN = 0.6
 """Structures smaller than DETAIL_MM are raised by this part."""
-SYNTHETIC_DETAIL_GAIN = 0.35
-"""Part of the brightest detail along z in a synthetic view."""
+SYNTHETIC_ROLL_OFF_MM = 15.0
+SYNTHETIC_DETAIL_MM = 3.0
+SYNTHETIC_DETAIL_GAIN = 0.25
+"""Part of the brightest detail along z (smaller than SYNTHETIC_DETAIL_MM) in a synthetic view."""
 _COARSE_MM = 1.0
 """Slow variations are computed on pixels of about this size."""
 
@@ -50,17 +52,16 @@ def synthetic_view(volume: Volume, breast: NDArray[np.bool_]) -> NDArray[np.uint
 
     breast: bool (rows, columns), pixels that the breast covers.
     """
-    depth, rows, columns = volume.data.shape
-    total = np.zeros((rows, columns), np.float32)
-    brightest = np.zeros((rows, columns), np.float32)
-    sigma = DETAIL_MM * 3 / volume.grid.spacing[0]
+    pixel = volume.grid.spacing[0]
+    total = np.zeros(breast.shape, np.float32)
+    brightest = np.zeros(breast.shape, np.float32)
     for plane in volume.data:
         values = plane.astype(np.float32) * np.float32(volume.slope) + np.float32(volume.intercept)
         total += values
-        np.maximum(brightest, values - ndimage.gaussian_filter(values, sigma), out=brightest)
-    mean = total / np.float32(depth)
-    thickness = _local_mean(mean, breast, ROLL_OFF_MM, volume.grid.spacing[0])
-    return _stored(mean - thickness + np.float32(SYNTHETIC_DETAIL_GAIN) * brightest, breast)
+        np.maximum(brightest, values - _local_mean(values, breast, SYNTHETIC_DETAIL_MM, pixel), out=brightest)
+    mean = total / np.float32(len(volume.data))
+    evened = mean - _local_mean(mean, breast, SYNTHETIC_ROLL_OFF_MM, pixel)
+    return _stored(evened + np.float32(SYNTHETIC_DETAIL_GAIN) * brightest, breast)
 
 
 def hung(image: NDArray[Any], laterality: str) -> NDArray[Any]:

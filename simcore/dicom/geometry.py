@@ -22,8 +22,9 @@ from pydicom.dataset import Dataset
 
 from simcore.core.geometry import AcquisitionGeometry
 from simcore.core.grid import Grid
-from simcore.dicom.common import decimal, item
+from simcore.dicom.common import item
 from simcore.dicom.spec import ExportSpec
+from simcore.dicom.values import decimal
 
 Vector = NDArray[np.float64]
 

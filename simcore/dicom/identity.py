@@ -17,6 +17,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from simcore.dicom.exposure import Exposure
+
 FORMAT = 2
 """Revision of what is written: raised whenever attributes change, so that old and new files differ in identity."""
 
@@ -32,11 +34,12 @@ class CaseDescription:
     identity:         hexadecimal sha256 of the specification and the software version (may cover the inputs too).
     seed:             seed of the random streams.
     software_version: version of the simulation software.
-    energy_keV:       energy of the monoenergetic source, keV; stands as the peak kilovoltage.
+    energy_keV:       photon energy that the values of the volume hold for, keV.
     detector_bits:    bits stored of a projection pixel, 10 to 16.
     reconstruction_kind: DICOM term of the reconstruction algorithm: FILTER_BACK_PROJ, ITERATIVE, ...
     reconstruction:   the reconstruction in words.
     attenuation_per_mm: true attenuation coefficient of every label at that energy, 1/mm; empty where not told.
+    exposure:         tube, filter, load and dose; None for a monoenergetic source.
     """
 
     identity: str
@@ -47,6 +50,7 @@ class CaseDescription:
     reconstruction_kind: str = "FILTER_BACK_PROJ"
     reconstruction: str = "filtered back-projection"
     attenuation_per_mm: tuple[float, ...] = ()
+    exposure: Exposure | None = None
 
     @property
     def short(self) -> str:

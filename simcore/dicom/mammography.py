@@ -10,7 +10,7 @@ from __future__ import annotations
 from pydicom.dataset import Dataset
 from pydicom.uid import DigitalMammographyXRayImageStorageForProcessing
 
-from simcore.dicom.common import Instance, breast_code, date_time, decimal, items, set_pixels
+from simcore.dicom.common import Instance, breast_code, date_time, item, items, set_pixels
 from simcore.dicom.geometry import isocenter_item, source_distance
 from simcore.dicom.study import (
     MAMMOGRAPHY,
@@ -19,9 +19,9 @@ from simcore.dicom.study import (
     set_breast_image,
     set_compression,
     set_detector,
-    set_no_dose,
-    set_source,
+    set_exposure,
 )
+from simcore.dicom.values import decimal
 
 
 def mammography_image(study: Study, view: int) -> Instance:
@@ -61,11 +61,22 @@ def describe_view(dataset: Dataset, study: Study, view: int) -> None:
     set_detector(dataset, study)
     _describe_field(dataset, study)
     set_compression(dataset, study)
-    set_source(dataset, study)
-    set_no_dose(dataset)
-    dataset.FilterType = "NONE"
+    set_exposure(dataset, study, study.view_share)
+    _describe_load(dataset, study)
     dataset.Grid = "NONE"
     dataset.IrradiationEventUID = study.ids.irradiation_event
+
+
+def _describe_load(dataset: Dataset, study: Study) -> None:
+    exposure, share = study.exposure, study.view_share
+    dataset.update(item(**exposure.filter()))
+    dataset.HalfValueLayer = decimal(exposure.half_value_layer_mm)
+    # Whole numbers in these attributes.
+    dataset.Exposure = round(exposure.load_mAs * share)
+    dataset.ExposureInuAs = round(1000.0 * exposure.load_mAs * share)
+    dataset.ExposureTime = round(1000.0 * exposure.seconds * share)
+    dataset.XRayTubeCurrent = round(exposure.current_mA)
+    dataset.RelativeXRayExposure = 0
 
 
 def _describe_position(dataset: Dataset, study: Study, view: int) -> None:

@@ -9,13 +9,14 @@ from pydicom.dataset import Dataset
 from pydicom.sequence import Sequence
 from pydicom.uid import BreastTomosynthesisImageStorage, Comprehensive3DSRStorage
 
-from simcore.dicom.common import MODEL, Instance, code, decimal, item, items
+from simcore.dicom.common import MODEL, Instance, code, item, items
 from simcore.dicom.identity import IMPLEMENTATION_UID
 from simcore.dicom.lesion_segmentation import SOP_CLASS as SEGMENTATION
 from simcore.dicom.lesion_segmentation import shown_lesions
 from simcore.dicom.lesions import Lesion
 from simcore.dicom.segmentation import property_type
-from simcore.dicom.study import LESIONS, REPORT, TOMOSYNTHESIS, Study, volume_series
+from simcore.dicom.study import LESIONS, REPORT, TOMOSYNTHESIS, Study
+from simcore.dicom.values import decimal
 
 _ENGLISH = ("en", "RFC5646", "English")
 _PROCEDURE = ("111409", "DCM", "Digital Mammography")
@@ -23,11 +24,13 @@ _LATERALITY = {"L": ("7771000", "SCT", "Left"), "R": ("24028007", "SCT", "Right"
 
 
 def files(study: Study) -> Iterator[tuple[str, Callable[[], Instance]]]:
-    yield "report.dcm", partial(lesion_report, study)
+    """Nothing where there is nothing to report."""
+    if shown_lesions(study):
+        yield "report.dcm", partial(lesion_report, study)
 
 
 def lesion_report(study: Study) -> Instance:
-    """Finding, site and volume of every lesion with its segment; without lesions a report without groups."""
+    """Finding, site and volume of every lesion with its segment."""
     dataset = study.dataset(REPORT, Comprehensive3DSRStorage, "SR")
     # A report has no place of its own.
     del dataset.FrameOfReferenceUID, dataset.PositionReferenceIndicator, dataset.OperatorsName
@@ -49,11 +52,10 @@ def lesion_report(study: Study) -> Instance:
 
 def _evidence(study: Study) -> Dataset:
     """The objects that the report speaks of."""
-    series = [volume_series(study)]
-    if shown_lesions(study):
-        segmentation = item(ReferencedSOPClassUID=SEGMENTATION, ReferencedSOPInstanceUID=study.ids.instance(LESIONS))
-        series.append(item(SeriesInstanceUID=study.ids.series(LESIONS), ReferencedSOPSequence=items(segmentation)))
-    series[0].ReferencedSOPSequence = series[0].pop("ReferencedInstanceSequence").value
+    series = []
+    for sop_class, name in ((BreastTomosynthesisImageStorage, TOMOSYNTHESIS), (SEGMENTATION, LESIONS)):
+        instance = item(ReferencedSOPClassUID=sop_class, ReferencedSOPInstanceUID=study.ids.instance(name))
+        series.append(item(SeriesInstanceUID=study.ids.series(name), ReferencedSOPSequence=items(instance)))
     return item(StudyInstanceUID=study.ids.study, ReferencedSeriesSequence=Sequence(series))
 
 

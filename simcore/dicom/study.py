@@ -13,21 +13,21 @@ from pydicom.uid import BreastTomosynthesisImageStorage
 from simcore.core.artifacts import Phantom, ProjectionStack, Volume
 from simcore.core.grid import Grid
 from simcore.dicom.common import (
-    NOT_MODELLED,
     base_dataset,
     breast_code,
     code,
-    decimal,
     item,
     items,
     private_json,
     view_code,
 )
+from simcore.dicom.exposure import Exposure
 from simcore.dicom.geometry import Beam, Frames, beam, gantry_angle
 from simcore.dicom.identity import CaseDescription, Identifiers
 from simcore.dicom.lesions import Lesion
 from simcore.dicom.resampling import Lookup
 from simcore.dicom.spec import ExportSpec
+from simcore.dicom.values import decimal
 
 MAMMOGRAPHY = "projections, one file a view"
 BREAST_PROJECTION = "projections, multi-frame"
@@ -79,6 +79,15 @@ class Study:
     @property
     def frames(self) -> Frames:
         return Frames(self.stack.geometry, gantry_angle(self.spec))
+
+    @property
+    def exposure(self) -> Exposure:
+        return self.case.exposure or Exposure.monoenergetic(self.case.energy_keV)
+
+    @property
+    def view_share(self) -> float:
+        """Part of load and dose that one view has."""
+        return 1.0 / self.stack.geometry.views
 
     def beam(self, view: int) -> Beam:
         return beam(self.frames, view, self.thickness)
@@ -150,19 +159,16 @@ def set_compression(dataset: Dataset, study: Study) -> None:
     dataset.PaddleDescription = "SIMULATED FLAT PADDLE"
 
 
-def set_source(dataset: Dataset, study: Study) -> None:
-    """The monoenergetic point source: no anode, focal spot without extent."""
-    dataset.KVP = decimal(study.case.energy_keV)
+def set_exposure(dataset: Dataset, study: Study, share: float = 1.0) -> None:
+    """Tube and dose of a share of the acquisition: one view, or all."""
+    exposure = study.exposure
+    dataset.KVP = decimal(exposure.peak_kV)
+    # A point source: its focal spot has no extent.
     dataset.FocalSpots = "0"
-    dataset.AnodeTargetMaterial = "SIMULATED"
-
-
-def set_no_dose(dataset: Dataset) -> None:
-    """Dose stands as zero, which no exposure has: it is not modelled."""
-    dataset.OrganDose = "0"
-    dataset.EntranceDoseInmGy = "0"
+    dataset.AnodeTargetMaterial = exposure.anode
+    dataset.update(item(**exposure.dose(share)))
     dataset.ExposureControlMode = "MANUAL"
-    dataset.ExposureControlModeDescription = NOT_MODELLED
+    dataset.ExposureControlModeDescription = exposure.remark
 
 
 def set_breast_image(dataset: Dataset, study: Study) -> None:

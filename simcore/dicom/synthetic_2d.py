@@ -14,7 +14,6 @@ from simcore.dicom.common import (
     Instance,
     code,
     date_time,
-    decimal,
     dimensions,
     functional_groups,
     item,
@@ -24,9 +23,9 @@ from simcore.dicom.common import (
 )
 from simcore.dicom.display import DISPLAY_BITS, display_window, hung, synthetic_view
 from simcore.dicom.presentation import set_display
-from simcore.dicom.resampling import sample
 from simcore.dicom.study import SYNTHETIC_2D, Study, frame_anatomy, source_volume
 from simcore.dicom.tomosynthesis import describe_tomosynthesis
+from simcore.dicom.values import decimal
 
 IMAGE_TYPE = ["DERIVED", "PRIMARY", "TOMOSYNTHESIS", "GENERATED_2D"]
 _TECHNIQUE = "MAX_IP"
@@ -89,8 +88,7 @@ def synthetic_2d_image(study: Study) -> Instance:
 
 
 def _breast(study: Study) -> NDArray[np.bool_]:
-    """bool (rows, columns): pixels over which any slice has tissue."""
-    covered = np.zeros(study.volume.grid.shape[1:], np.bool_)
-    for k in range(study.volume.grid.shape[0]):
-        covered |= sample(study.phantom, study.lookup, slices=slice(k, k + 1))[0] != 0
-    return covered
+    """bool (rows, columns): pixels above which there is tissue at any height."""
+    covered = np.any(study.phantom.labels != 0, axis=0)
+    y, x = study.lookup.y, study.lookup.x
+    return np.asarray(covered[np.ix_(y, x)] & ((y >= 0)[:, None] & (x >= 0)))

@@ -12,11 +12,9 @@ from simcore.dicom import breast_projection
 from simcore.dicom.common import (
     MANUFACTURER,
     MODEL,
-    NOT_MODELLED,
     Instance,
     code,
     date_time,
-    decimal,
     dimensions,
     functional_groups,
     item,
@@ -35,9 +33,9 @@ from simcore.dicom.study import (
     plane_groups,
     set_breast_image,
     set_compression,
-    set_no_dose,
-    set_source,
+    set_exposure,
 )
+from simcore.dicom.values import decimal
 
 IMAGE_TYPE = ["DERIVED", "PRIMARY", "TOMOSYNTHESIS", "NONE"]
 
@@ -149,16 +147,13 @@ def _acquisition(study: Study) -> Dataset:
         FieldOfViewOrigin=["0", "0"],
         FieldOfViewRotation="0",
         FieldOfViewHorizontalFlip="NO",
-        FilterType="NONE",
-        FilterMaterial="NONE",
+        **study.exposure.filter(),
         Grid="NONE",
-        HalfValueLayer="0",
+        HalfValueLayer=decimal(study.exposure.half_value_layer_mm),
         DetectorTemperature="0",
         DetectorBinning=["1", "1"],
         XRayReceptorType="DIGITAL_DETECTOR",
-        ExposureInmAs=0.0,
-        ExposureTimeInms=0.0,
-        XRayTubeCurrentInmA=0.0,
+        **study.exposure.load(1.0),
         PrimaryPositionerScanStartAngle=primary[0],
         PrimaryPositionerScanArc=primary[-1] - primary[0],
         StartAcquisitionDateTime=date_time(study.spec),
@@ -167,9 +162,8 @@ def _acquisition(study: Study) -> Dataset:
             [_projection_acquisition(study, view) for view in range(geometry.views)]
         ),
     )
-    set_source(acquisition, study)
     set_compression(acquisition, study)
-    set_no_dose(acquisition)
+    set_exposure(acquisition, study)
     return acquisition
 
 
@@ -177,14 +171,12 @@ def _projection_acquisition(study: Study, view: int) -> Dataset:
     beam = study.beam(view)
     detector = study.stack.geometry.detector
     return item(
-        KVP=decimal(study.case.energy_keV),
+        KVP=decimal(study.exposure.peak_kV),
         RelativeXRayExposure=0,
         PositionerPrimaryAngle=decimal(beam.primary),
         PositionerPrimaryAngleDirection="CC",
         PositionerSecondaryAngle=decimal(beam.secondary),
-        ExposureTimeInms=0.0,
-        XRayTubeCurrentInmA=0.0,
-        ExposureInmAs=0.0,
+        **study.exposure.load(study.view_share),
         FrameAcquisitionDuration=0.0,
         CollimatorShape="RECTANGULAR",
         CollimatorLeftVerticalEdge=1,
@@ -199,7 +191,7 @@ def _shared_groups(study: Study, volume: Volume) -> Dataset:
     source = _projection_reference(study)
     source.PurposeOfReferenceCodeSequence = items(code("121322", "DCM", "Source image for image processing operation"))
     derivation = item(
-        DerivationDescription=f"{study.case.reconstruction}; {NOT_MODELLED}",
+        DerivationDescription=f"{study.case.reconstruction}; {study.exposure.remark}",
         DerivationCodeSequence=items(code("TOMORECON", "99TOMOSIM", "Tomosynthesis reconstruction")),
         SourceImageSequence=items(source),
     )
