@@ -23,7 +23,7 @@ from simcore import __version__, dicom, fem, mesh, phantom, preview, projection,
 from simcore.core import files, memory
 from simcore.core.artifacts import Compression, Phantom, ProjectionStack, Report, TetMesh, Volume
 from simcore.core.progress import Progress
-from simcore.core.store import FileRef, StageRecord, Store, digest
+from simcore.core.store import Commits, FileRef, StageRecord, Store, digest
 from simcore.dicom.spec import ExportSpec
 from simcore.fem.materials import MaterialSpec
 from simcore.phantom.upload import registry
@@ -94,6 +94,7 @@ class _Run:
 
     store: Store
     tell: CaseProgress
+    later: Commits
     records: list[StageResult[Any]] = field(default_factory=list)
 
     def stage(
@@ -136,7 +137,7 @@ class _Run:
 
         self.tell(name, 0.0, "started")
         record, cached = self.store.run(
-            name, VERSIONS[name], parameters, {k: r.record.digest for k, r in inputs.items()}, compute
+            name, VERSIONS[name], parameters, {k: r.record.digest for k, r in inputs.items()}, compute, self.later
         )
         self.tell(name, 1.0, "done", cached=cached)
         result: StageResult[Any] = StageResult(self.store, record, cached)
@@ -153,9 +154,14 @@ def run(spec: SimulationSpec, store: Store, progress: CaseProgress = silent) -> 
 
     raises: SimulationError (its message says what to change); whatever was computed before stays in the store.
     """
-    case = _Run(store, progress)
     start = time.perf_counter()
+    with Commits() as later:
+        case = _Run(store, progress, later)
+        _stages(case, spec)
+    return _result(spec, store, case.records, time.perf_counter() - start)
 
+
+def _stages(case: _Run, spec: SimulationSpec) -> None:
     grown = _phantom(case, spec)
     if isinstance(spec.phantom, UploadedPhantom) and spec.phantom.compressed:
         meshed, warped = None, grown
@@ -210,7 +216,6 @@ def run(spec: SimulationSpec, store: Store, progress: CaseProgress = silent) -> 
         {"phantom": grown, "compressed": warped, "projections": stack, "volume": volume},
         lambda folder, key, p: _previews(folder, grown, warped, stack, volume),
     )
-    return _result(spec, store, case.records, time.perf_counter() - start)
 
 
 def _phantom(case: _Run, spec: SimulationSpec) -> StageResult[Phantom]:

@@ -101,8 +101,8 @@ class ObjectStore(Store):
         pieces = self._bucket.stream(_object_name(ref.sha256), start, length)
         yield from _verified(ref, pieces) if (start, length) == (0, ref.size) else pieces
 
-    def add(self, path: Path) -> FileRef:
-        ref = super().add(path)
+    def add(self, path: Path, ref: FileRef | None = None) -> FileRef:
+        ref = super().add(path, ref)
         self._upload(ref)
         return ref
 

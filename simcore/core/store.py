@@ -26,7 +26,9 @@ import shutil
 import socket
 import tempfile
 from collections.abc import Callable, Iterator
+from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import asdict, dataclass, field
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -39,6 +41,9 @@ MIN_FREE_BYTES = 1 << 30
 
 PIECE_BYTES = 1 << 20
 """Content is streamed in pieces of this size."""
+
+LARGE_BYTES = 64 << 20
+"""Outputs from this size on take a disk so long that it pays to go on meanwhile."""
 
 
 def canonical(data: Any) -> bytes:
@@ -72,6 +77,11 @@ class Stored:
     name: str
     size: int
     used: float
+
+
+def file_ref(path: Path) -> FileRef:
+    """Digest and size of a file."""
+    return FileRef(file_digest(path), path.stat().st_size)
 
 
 @dataclass(frozen=True)
@@ -120,6 +130,41 @@ def _stored(folder: Path, suffix: str) -> Iterator[Stored]:
 def workspace_prefix(process: int) -> str:
     """What the names of all that a process of this machine has for a while begin with."""
     return f"{socket.gethostname()}-{process}-"
+
+
+class Commits:
+    """Commits of stages, one after the other beside the computation of what follows.
+
+    A disk takes seconds to have a volume for certain. Closing waits for all of them; the first that failed is raised
+    then, or by the next ``take``.
+    """
+
+    def __init__(self) -> None:
+        self._thread = ThreadPoolExecutor(1, "commit")
+        self._underway: list[Future[None]] = []
+
+    def take(self, commit: Callable[[], None], held: contextlib.ExitStack) -> None:
+        """Runs ``commit`` and then leaves ``held`` (the lock and the folder of the stage)."""
+
+        def run() -> None:
+            with held:
+                commit()
+
+        self._underway.append(self._thread.submit(run))
+        self._raise_failures()
+
+    def _raise_failures(self) -> None:
+        for future in self._underway:
+            if future.done():
+                future.result()
+
+    def __enter__(self) -> Commits:
+        return self
+
+    def __exit__(self, kind: object, error: BaseException | None, trace: object) -> None:
+        self._thread.shutdown()
+        if error is None:
+            self._raise_failures()
 
 
 class Store:
@@ -208,9 +253,9 @@ class Store:
                 code="storage-full",
             )
 
-    def add(self, path: Path) -> FileRef:
-        """Moves a file of the same disk into the store."""
-        ref = FileRef(file_digest(path), path.stat().st_size)
+    def add(self, path: Path, ref: FileRef | None = None) -> FileRef:
+        """Moves a file of the same disk into the store. ref: of the file, where it is known already."""
+        ref = ref or file_ref(path)
         target = self._local(ref)
         target.parent.mkdir(exist_ok=True)
         with self._in_use():
@@ -225,22 +270,11 @@ class Store:
         _sync_folder(target.parent)
         return ref
 
-    def commit(
-        self,
-        stage: str,
-        version: int,
-        key: str,
-        folder: Path,
-        report: Report,
-        seconds: float,
-        peak_memory_bytes: int,
-    ) -> StageRecord:
-        """Moves every file below ``folder`` into the store and then records the stage."""
-        names = sorted(p.relative_to(folder).as_posix() for p in folder.rglob("*") if p.is_file())
-        outputs = {name: self.add(folder / name) for name in names}
-        record = StageRecord(stage, version, key, outputs, report, round(seconds, 4), peak_memory_bytes)
+    def commit(self, record: StageRecord, folder: Path) -> None:
+        """Moves the outputs of a stage from ``folder`` into the store and then records the stage."""
+        for name, ref in record.outputs.items():
+            self.add(folder / name, ref)
         self._write_record(record)
-        return record
 
     def materialise(self, ref: FileRef, target: Path) -> None:
         """Copies stored content to ``target`` (a copy: what a client does to it cannot harm the store)."""
@@ -256,20 +290,31 @@ class Store:
         parameters: Any,
         inputs: dict[str, str],
         compute: Callable[[Path, str], tuple[Report, float, int]],
+        later: Commits | None = None,
     ) -> tuple[StageRecord, bool]:
         """The record of a stage, computed where it is not there yet: (record, whether it was cached).
 
         compute(folder, key): writes the outputs below ``folder``; returns (report, seconds, peak memory in bytes).
+        later: takes the waiting for the disk off the caller where the outputs are large. Such a stage is surely in
+        the store only when it is closed.
         """
         key = stage_key(stage, version, parameters, inputs)
         if record := self.get(key):
             return record, True
-        with self.lock(key):
+        with contextlib.ExitStack() as held:
+            held.enter_context(self.lock(key))
             if record := self.get(key):
                 return record, True
-            with self.workspace() as folder:
-                report, seconds, peak = compute(folder, key)
-                return self.commit(stage, version, key, folder, report, seconds, peak), False
+            folder = held.enter_context(self.workspace())
+            report, seconds, peak = compute(folder, key)
+            names = sorted(p.relative_to(folder).as_posix() for p in folder.rglob("*") if p.is_file())
+            outputs = {name: file_ref(folder / name) for name in names}
+            record = StageRecord(stage, version, key, outputs, report, round(seconds, 4), peak)
+            if later is None or sum(ref.size for ref in outputs.values()) < LARGE_BYTES:
+                self.commit(record, folder)
+            else:
+                later.take(partial(self.commit, record, folder), held.pop_all())
+            return record, False
 
     def remove_workspaces(self, process: int) -> None:
         """Removes what a process of this machine left in tmp/; for whoever has just killed it."""

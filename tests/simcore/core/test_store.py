@@ -1,15 +1,18 @@
 """The store: nothing torn, nothing computed twice, damage seen."""
 
+import errno
 import multiprocessing
 import os
 import signal
+import threading
 import time
 from pathlib import Path
 
 import pytest
 
+from simcore.core import store as store_module
 from simcore.core.errors import StoreError
-from simcore.core.store import Store, canonical, stage_key
+from simcore.core.store import Commits, Store, canonical, stage_key
 
 
 @pytest.fixture
@@ -149,3 +152,42 @@ def test_kill_at_any_moment_tears_nothing(tmp_path):
         assert record is not None
         for ref in record.outputs.values():
             assert store.path(ref).stat().st_size == ref.size
+
+
+def test_large_outputs_are_committed_beside_what_follows(store, monkeypatch):
+    monkeypatch.setattr(store_module, "LARGE_BYTES", 0)
+    disk_is_ready = threading.Event()
+    sync = os.fsync
+    monkeypatch.setattr(os, "fsync", lambda fd: (disk_is_ready.wait(30), sync(fd))[1])
+    with Commits() as later:
+        record, cached = store.run("s", 1, {}, {}, write("x"), later)
+        assert not cached
+        assert store.get(record.key) is None
+        waiting = threading.Thread(target=lambda: found.append(store.run("s", 1, {}, {}, write("x"))))
+        found: list = []
+        waiting.start()
+        disk_is_ready.set()
+        waiting.join(30)
+    assert found == [(record, True)]
+    assert store.get(record.key) == record
+    assert list((store.root / "tmp").iterdir()) == []
+
+
+def test_small_outputs_are_there_at_once(store):
+    with Commits() as later:
+        record, _ = store.run("s", 1, {}, {}, write("x"), later)
+        assert store.get(record.key) == record
+
+
+def test_a_commit_that_fails_is_told(store, monkeypatch):
+    monkeypatch.setattr(store_module, "LARGE_BYTES", 0)
+
+    def full(fd: int) -> None:
+        raise OSError(errno.ENOSPC, "no space")
+
+    monkeypatch.setattr(os, "fsync", full)
+    with pytest.raises(StoreError, match="is full"), Commits() as later:
+        record, _ = store.run("s", 1, {}, {}, write("x"), later)
+    monkeypatch.undo()
+    assert store.get(record.key) is None
+    assert list((store.root / "tmp").iterdir()) == []
