@@ -7,13 +7,14 @@ PORT ?= 8080
 OUT ?= out
 DATA ?= data
 
-.PHONY: help install install-dev demo serve test lint format bench validate docs lock clean
+.PHONY: help install install-dev demo serve test lint format bench soak validate docs lock clean
 
 help:
 	@echo "make demo      install, run the paper's cup C case through the service, files in $(OUT)/"
 	@echo "make serve     install, start the service on http://127.0.0.1:$(PORT)/"
 	@echo "make test      install what tests need, lint, type-check, run all tests"
 	@echo "make bench     compare with named peers (minutes)"
+	@echo "make soak      200 small cases while processes are killed at random: nothing may be lost (ten minutes)"
 	@echo "make validate  verification of the compression, robustness, the paper's cups and figures (an hour)"
 
 install: $(VENV)/.installed
@@ -57,6 +58,9 @@ $(VENV)/.installed-bench: $(VENV)/.installed-dev requirements-bench.lock
 
 bench: $(VENV)/.installed-bench
 	for name in $(BENCHES); do $(BIN)/python -m bench.$$name || exit 1; done
+
+soak: install-dev
+	$(BIN)/python -m bench.soak
 
 validate: install-dev
 	$(BIN)/python -m bench.verification
