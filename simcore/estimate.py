@@ -4,11 +4,17 @@ from __future__ import annotations
 
 import math
 from bisect import bisect_right
+from typing import NoReturn
 
+import numpy as np
+from numpy.typing import NDArray
 from pydantic import BaseModel, Field
 
-from simcore.core.errors import ResourceLimitError, SpecError
+from simcore.core.errors import GeometryError, ResourceLimitError, SpecError
 from simcore.core.memory import physical_bytes
+from simcore.projection.acquisition import geometry_of
+from simcore.projection.poses import check_poses
+from simcore.projection.spec import AcquisitionSpec
 from simcore.spec import SimulationSpec
 
 
@@ -30,6 +36,9 @@ GROWTH_Y = (1.0, 1.048, 1.245, 1.53, 1.65)
 
 # The shadow's edge belongs to no single height of the breast; the prediction takes the middle and this much more.
 SHADOW_MARGIN = 1.03
+
+# Reconstructions that need a tube in the plane of the chest wall.
+IN_PLANE = ("fbp", "backprojection")
 
 # Measured on the paper's case; docs/performance.md.
 BYTES_BASE = 500e6
@@ -117,7 +126,15 @@ def _check_geometry(spec: SimulationSpec) -> None:
     if a.angular_range_degrees == 0:
         _refuse("acquisition.angular_range_degrees", 0.0, "a volume needs views at different angles: more than 0")
     depth, width, thickness = compressed_extent(spec)
-    top = a.air_gap_mm + thickness
+    top = a.air_gap_mm + thickness + a.paddle_mm
+    mid = a.air_gap_mm + thickness / 2
+    if a.trajectory is not None:
+        _check_trajectory(spec, top)
+        sources = geometry_of(a).sources
+        if a.truncation == "refuse" and all(view.detector is None for view in a.trajectory):
+            _check_reach_x(a, sources, depth, mid)
+            _check_reach_y(a, sources, width, mid)
+        return
     # The focal spot is lowest in the outermost view.
     half = math.radians(a.angular_range_degrees / 2)
     radius = a.source_to_detector_mm - a.isocenter_height_mm
@@ -135,36 +152,61 @@ def _check_geometry(spec: SimulationSpec) -> None:
             f"the focal spot comes down to {lowest:.0f} mm above the detector; the breast reaches {top:.0f} mm, and "
             f"50 mm must lie between",
         )
-    if a.truncation == "allow":
-        return
-    mid = a.air_gap_mm + thickness / 2
-    reach_x = SHADOW_MARGIN * depth * a.source_to_detector_mm / (a.source_to_detector_mm - mid)
-    field_x = a.detector.pixels_x * a.detector.pixel_mm
-    if reach_x > field_x:
+    if a.truncation == "refuse":
+        _check_reach_x(a, np.array([[0.0, 0.0, a.source_to_detector_mm]]), depth, mid)
+        _check_reach_y(a, np.array([[0.0, radius * math.sin(half), lowest]]), width, mid)
+
+
+def _check_trajectory(spec: SimulationSpec, top: float) -> None:
+    geometry = geometry_of(spec.acquisition)
+    try:
+        check_poses(geometry, spec.acquisition.air_gap_mm, top)
+    except GeometryError as error:
+        _refuse("acquisition.trajectory", str(len(geometry.sources)) + " views", str(error))
+    beside = np.flatnonzero(np.abs(geometry.sources[:, 0]) > 1e-9)
+    if len(beside) and spec.reconstruction.kind in IN_PLANE:
+        _refuse(
+            f"acquisition.trajectory.{beside[0]}.source_mm",
+            f"x = {geometry.sources[beside[0], 0]:g}",
+            f"reconstruction.kind = {spec.reconstruction.kind!r} needs a tube in the plane of the chest wall, x = 0; "
+            "an iterative kind takes any trajectory",
+        )
+
+
+def _check_reach_x(a: AcquisitionSpec, sources: NDArray[np.float64], depth: float, height: float) -> None:
+    """Whether the breast's shadow ends on the detector towards the nipple. height: of its middle, mm."""
+    x, z = sources[:, 0], sources[:, 2]
+    reach = float(np.max(x + (SHADOW_MARGIN * depth - x) * z / (z - height)))
+    field = a.detector.pixels_x * a.detector.pixel_mm
+    if reach > field:
         _refuse(
             "acquisition.detector.pixels_x",
             a.detector.pixels_x,
-            f"the breast reaches {reach_x:.0f} mm from the chest wall on the detector, which is {field_x:.0f} mm deep; "
-            f"at least {math.ceil(reach_x / a.detector.pixel_mm)} pixels, or acquisition.truncation = 'allow'",
+            f"the breast reaches {reach:.0f} mm from the chest wall on the detector, which is {field:.0f} mm deep; "
+            f"at least {math.ceil(reach / a.detector.pixel_mm)} pixels, or acquisition.truncation = 'allow'",
         )
-    source_y = radius * math.sin(half)
-    source_z = lowest
-    m = source_z / (source_z - mid)
-    reach_y = SHADOW_MARGIN * m * width / 2 + (m - 1) * source_y
-    field_y = a.detector.pixels_y * a.detector.pixel_mm / 2
-    if reach_y > field_y:
+
+
+def _check_reach_y(a: AcquisitionSpec, sources: NDArray[np.float64], width: float, height: float) -> None:
+    """Whether it ends on the detector along the tube travel."""
+    y, z = np.abs(sources[:, 1]), sources[:, 2]
+    m = z / (z - height)
+    reach = float(np.max(SHADOW_MARGIN * m * width / 2 + (m - 1) * y))
+    field = a.detector.pixels_y * a.detector.pixel_mm / 2
+    if reach > field:
         _refuse(
             "acquisition.detector.pixels_y",
             a.detector.pixels_y,
-            f"in the outermost view the breast reaches {reach_y:.0f} mm from the middle of the detector, whose half "
-            f"width is {field_y:.0f} mm; at least {2 * math.ceil(reach_y / a.detector.pixel_mm)} pixels, a smaller "
+            f"in the outermost view the breast reaches {reach:.0f} mm from the middle of the detector, whose half "
+            f"width is {field:.0f} mm; at least {2 * math.ceil(reach / a.detector.pixel_mm)} pixels, a smaller "
             f"angular range, or acquisition.truncation = 'allow'",
         )
 
 
-def _refuse(name: str, value: float, message: str) -> None:
+def _refuse(name: str, value: float | str, message: str) -> NoReturn:
+    shown = f"{value:g}" if isinstance(value, int | float) else value
     raise SpecError(
-        f"{name} = {value:g}: {message}",
+        f"{name} = {shown}: {message}",
         code="geometry-not-possible",
         problems=[{"field": name, "value": value, "message": message}],
     )

@@ -170,7 +170,7 @@ def _stages(case: _Run, spec: SimulationSpec) -> None:
         meshed, compressed, warped = _compress(case, spec, grown)
     stack = case.stage(
         "projection",
-        {"acquisition": spec.acquisition.model_dump(), "physics": spec.physics.model_dump()},
+        {"acquisition": spec.acquisition.parameters(), "physics": spec.physics.parameters()},
         {"phantom": warped},
         lambda p: projection.project(warped.artifact, spec.acquisition, spec.physics, p),
         files.save_stack,

@@ -106,7 +106,7 @@ def _phantom_picture(phantom: Phantom) -> Grey:
 
 def _projection_pictures(stack: ProjectionStack) -> dict[str, Grey]:
     factor = _reduction(stack.data.shape[1:])
-    views = [_line_integrals(_reduced(view, factor), stack.open_field) for view in stack.data]
+    views = [_line_integrals(_reduced(view, factor), stack.background) for view in stack.data]
     windows = [_window_inside(view) for view in views]
     pictures = {f"projection_{k + 1:02d}": _grey(views[k], windows[k]) for k in range(len(views))}
     last = len(views) - 1

@@ -8,6 +8,7 @@ the support frame plus ``support_height``.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -106,12 +107,20 @@ class ProjectionStack:
 
     data: uint16 (views, ny, nx), proportional to intensity: I / I0 = data / open_field, rounded.
     open_field: pixel value where nothing is in the beam.
+    slab_integral: line integral along z of the plates that stand in the beam beside the breast (support, paddle);
+        along a ray it is so much more as the ray is longer than its height.
     """
 
     data: NDArray[np.uint16]
     open_field: float
     geometry: AcquisitionGeometry
     report: Report = field(default_factory=dict)
+    slab_integral: float = 0.0
+
+    @property
+    def background(self) -> float:
+        """Pixel value beside the breast where the ray is perpendicular: the open field behind the plates."""
+        return self.open_field * math.exp(-self.slab_integral)
 
     def __post_init__(self) -> None:
         _freeze(self)

@@ -110,13 +110,16 @@ def load_compression(locate: Locate) -> Compression:
 def save_stack(folder: Path, stack: ProjectionStack) -> None:
     _save(folder, "projections", stack.data)
     (folder / "geometry.json").write_text(json.dumps(stack.geometry.to_dict(), indent=1) + "\n")
-    _write_meta(folder, {"open_field": stack.open_field, "report": stack.report})
+    slabs = {"slab_integral": stack.slab_integral} if stack.slab_integral else {}
+    _write_meta(folder, {"open_field": stack.open_field, "report": stack.report, **slabs})
 
 
 def load_stack(locate: Locate) -> ProjectionStack:
     meta = _read_meta(locate)
     geometry = AcquisitionGeometry.from_dict(json.loads(locate("geometry.json").read_bytes()))
-    return ProjectionStack(_load(locate, "projections"), meta["open_field"], geometry, meta["report"])
+    return ProjectionStack(
+        _load(locate, "projections"), meta["open_field"], geometry, meta["report"], meta.get("slab_integral", 0.0)
+    )
 
 
 def save_volume(folder: Path, volume: Volume) -> None:

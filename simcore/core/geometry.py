@@ -12,6 +12,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+AT_REST = np.array([[0.0, 0.0, 0.0], [0.0, 1.0, 0.0], [1.0, 0.0, 0.0]])
+"""The pose of a detector at rest: middle of its chest-wall edge, direction of its rows index, of its columns index."""
+
 
 @dataclass(frozen=True)
 class Detector:
@@ -46,6 +49,9 @@ class AcquisitionGeometry:
     isocenter_height: height of the isocenter (pivot) above the detector surface, mm.
     source_to_detector: source-to-image distance of the central view, mm.
     support_height:  top of the breast support above the detector surface, mm: the compressed breast rests there.
+    detector_poses:  (views, 3, 3) where the detector stands anywhere: of each view the middle of its chest-wall edge,
+                     mm, and the unit vectors along which its rows and its columns are counted; None where it turns by
+                     detector_angles. With poses, detector_angles are the turns of the row vectors.
     """
 
     angles: NDArray[np.float64]
@@ -55,6 +61,7 @@ class AcquisitionGeometry:
     isocenter_height: float
     source_to_detector: float
     support_height: float
+    detector_poses: NDArray[np.float64] | None = None
 
     @property
     def views(self) -> int:
@@ -62,25 +69,50 @@ class AcquisitionGeometry:
 
     @property
     def stationary(self) -> bool:
-        """True where the detector lies in z = 0 in every view."""
-        return not np.any(self.detector_angles)
+        """True where the detector lies at rest in every view."""
+        return all(self.at_rest(view) for view in range(self.views))
+
+    def at_rest(self, view: int) -> bool:
+        """True where the detector lies in z = 0 with its chest-wall edge on x = 0, its middle on y = 0."""
+        if self.detector_poses is None:
+            return bool(self.detector_angles[view] == 0)
+        return np.array_equal(self.detector_poses[view], AT_REST)
 
     def detector_frame(self, view: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """(origin, y direction) of the detector of one view, each (3,): the middle of its chest-wall edge in mm and
-        the unit vector of its rows index; its x direction is always (1, 0, 0)."""
+        the unit vector of its rows index."""
+        if self.detector_poses is not None:
+            return self.detector_poses[view, 0], self.detector_poses[view, 1]
         a = np.deg2rad(self.detector_angles[view])
         h = self.isocenter_height
         # A turn that moves the tube towards +y moves what is below the isocenter towards -y.
         return np.array([0.0, -h * np.sin(a), h - h * np.cos(a)]), np.array([0.0, np.cos(a), -np.sin(a)])
+
+    def column_direction(self, view: int) -> NDArray[np.float64]:
+        """The unit vector of the columns index of the detector of one view, (3,): (1, 0, 0) without poses."""
+        return np.array([1.0, 0.0, 0.0]) if self.detector_poses is None else self.detector_poses[view, 2]
+
+    def normal(self, view: int) -> NDArray[np.float64]:
+        """The unit vector from the detector towards the side that the source stands on, (3,)."""
+        return np.cross(self.column_direction(view), self.detector_frame(view)[1])
 
     def pixel_position(self, view: int, j: float, i: float) -> NDArray[np.float64]:
         """Centre of pixel [j, i] of a view, (x, y, z), mm."""
         origin, e_y = self.detector_frame(view)
         d = self.detector
         position: NDArray[np.float64] = (
-            origin + np.array([(i + 0.5) * d.pixel, 0.0, 0.0]) + (j - (d.ny - 1) / 2) * d.pixel * e_y
+            origin + (i + 0.5) * d.pixel * self.column_direction(view) + (j - (d.ny - 1) / 2) * d.pixel * e_y
         )
         return position
+
+    def obliquity(self, view: int) -> NDArray[np.float64]:
+        """Length over height of the ray to every pixel of a view, (ny, nx)."""
+        d = self.detector
+        first = self.pixel_position(view, 0, 0) - self.sources[view]
+        rows = np.arange(d.ny)[:, None] * d.pixel * self.detector_frame(view)[1][:, None, None]
+        columns = np.arange(d.nx) * d.pixel * self.column_direction(view)[:, None, None]
+        x, y, z = (first[axis] + rows[axis] + columns[axis] for axis in range(3))
+        return np.asarray(np.sqrt(x * x + y * y + z * z) / np.abs(z))
 
     def to_dict(self) -> dict[str, Any]:
         """JSON for people who reconstruct without DICOM (geometry.json) and for the store."""
@@ -101,11 +133,18 @@ class AcquisitionGeometry:
                     "detector_angle": float(self.detector_angles[k]),
                     "first_pixel_centre": [float(c) for c in self.pixel_position(k, 0, 0)],
                     "row_step": [float(c) for c in self.detector_frame(k)[1] * self.detector.pixel],
-                    "column_step": [self.detector.pixel, 0.0, 0.0],
+                    "column_step": [float(c) for c in self.column_direction(k) * self.detector.pixel],
+                    **self._pose(k),
                 }
                 for k in range(self.views)
             ],
         }
+
+    def _pose(self, view: int) -> dict[str, Any]:
+        if self.detector_poses is None:
+            return {}
+        names = ("detector_origin", "row_direction", "column_direction")
+        return dict(zip(names, self.detector_poses[view].tolist(), strict=True))
 
     @classmethod
     def from_dict(cls, d: dict[str, Any]) -> AcquisitionGeometry:
@@ -118,4 +157,9 @@ class AcquisitionGeometry:
             isocenter_height=d["isocenter_height"],
             source_to_detector=d["source_to_detector"],
             support_height=d["support_height"],
+            detector_poses=np.array(
+                [[x["detector_origin"], x["row_direction"], x["column_direction"]] for x in v], dtype=np.float64
+            )
+            if "detector_origin" in v[0]
+            else None,
         )

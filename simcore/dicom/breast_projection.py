@@ -5,6 +5,7 @@ The only object with the complete geometry of every frame: source and detector p
 
 from __future__ import annotations
 
+import numpy as np
 from pydicom.dataset import Dataset
 from pydicom.sequence import Sequence
 from pydicom.uid import BreastProjectionXRayImageStorageForProcessing
@@ -112,11 +113,12 @@ def _frame_groups(study: Study, view: int) -> Dataset:
     beam = study.beam(view)
     load = study.exposure.load(study.view_share)
     angle = float(study.stack.geometry.angles[view])
-    # Views are ordered by tube angle, so the index of the dimension is the number of the view.
+    # The index of the dimension is the rank of the tube angle: of an arc, the number of the view.
+    order = np.argsort(study.stack.geometry.angles, kind="stable").tolist()
     return functional_groups(
         FrameContent=item(
             FrameAcquisitionNumber=view + 1,
-            DimensionIndexValues=[view + 1],
+            DimensionIndexValues=[order.index(view) + 1],
             FrameLabel=f"view {view + 1}, tube angle {angle:+.3f} degrees",
             FrameAcquisitionDateTime=date_time(study.spec),
             FrameReferenceDateTime=date_time(study.spec),

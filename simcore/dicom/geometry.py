@@ -155,7 +155,6 @@ def beam(frames: Frames, view: int, thickness: float) -> Beam:
     g = frames.geometry
     source = g.sources[view]
     origin, e_y = g.detector_frame(view)
-    normal = np.cross([1.0, 0.0, 0.0], e_y)
     vector = source - origin
     length = float(np.linalg.norm(vector))
     per_height = length / float(source[2] - origin[2])
@@ -166,8 +165,8 @@ def beam(frames: Frames, view: int, thickness: float) -> Beam:
         entrance=per_height * float(source[2] - g.support_height - thickness),
         primary=-float(np.rad2deg(np.arctan2(room[0], room[2]))),
         secondary=-float(np.rad2deg(np.arcsin(room[1] / length))),
-        row=-float(np.rad2deg(np.arcsin(vector[0] / length))),
-        column=float(np.rad2deg(np.arctan2(vector @ e_y, vector @ normal))),
+        row=-float(np.rad2deg(np.arcsin(vector @ g.column_direction(view) / length))),
+        column=float(np.rad2deg(np.arctan2(vector @ e_y, vector @ g.normal(view)))),
     )
 
 
@@ -185,29 +184,49 @@ def isocenter_item(frames: Frames, view: int) -> Dataset:
     source = frames.gantry_point(g.sources[view])
     support = frames.gantry_point((0.0, 0.0, g.support_height))
     reference = frames.gantry_point(g.detector_frame(view)[0])
-    half_height = (g.detector.ny - 1) / 2 * g.detector.pixel
     values: dict[str, Any] = {
         "XRaySourceIsocenterPrimaryAngle": np.rad2deg(np.arctan2(source[0], source[2])),
         "XRaySourceIsocenterSecondaryAngle": np.rad2deg(np.arctan2(source[1], np.hypot(source[0], source[2]))),
         "BreastSupportIsocenterPrimaryAngle": frames.gantry_degrees,
         "BreastSupportIsocenterSecondaryAngle": 0.0,
-        "DetectorIsocenterPrimaryAngle": frames.gantry_degrees - g.detector_angles[view],
-        "DetectorIsocenterSecondaryAngle": 0.0,
     }
+    primary, secondary, columns, rows = _detector_system(frames, view)
+    values["DetectorIsocenterPrimaryAngle"] = primary
+    values["DetectorIsocenterSecondaryAngle"] = secondary
     for axis, s, d in zip("XYZ", support, reference, strict=True):
         values[f"BreastSupport{axis}PositionToIsocenter"] = s
         values[f"Detector{axis}PositionToIsocenter"] = d
     values = {name: float(value) + 0.0 for name, value in values.items()}
     # In the detector system +X is our -y and +Y our +x: the first pixel lies at the right end of the chest wall.
+    first = g.detector.pixel / 2 * columns - (g.detector.ny - 1) / 2 * g.detector.pixel * rows
     return item(
         **values,
-        DetectorActiveAreaTLHCPosition=[half_height, g.detector.pixel / 2, 0.0],
-        DetectorActiveAreaOrientation=[0.0, 1.0, 0.0, -1.0, 0.0, 0.0],
+        DetectorActiveAreaTLHCPosition=[float(c) + 0.0 for c in first],
+        DetectorActiveAreaOrientation=[float(c) + 0.0 for c in (*columns, *rows)],
     )
+
+
+def _detector_system(frames: Frames, view: int) -> tuple[float, float, Vector, Vector]:
+    """Angles of the detector about the isocenter, degrees, and in the system that they turn to, the unit vectors along
+    which its columns and its rows are counted."""
+    g = frames.geometry
+    if g.detector_poses is None:
+        turned = frames.gantry_degrees - float(g.detector_angles[view])
+        return turned, 0.0, np.array([0.0, 1.0, 0.0]), np.array([-1.0, 0.0, 0.0])
+    normal = frames.gantry_direction(g.normal(view))
+    primary = float(np.rad2deg(np.arctan2(normal[0], normal[2])))
+    secondary = float(np.rad2deg(np.arcsin(np.clip(normal[1], -1.0, 1.0))))
+    c, s = np.cos(np.deg2rad(secondary)), np.sin(np.deg2rad(secondary))
+    # Back to the detector system: first the turn about Y, then the tilt about X from +Z towards +Y.
+    back = np.array([[1.0, 0.0, 0.0], [0.0, c, -s], [0.0, s, c]]) @ _turn(-primary)
+    columns, rows = (back @ frames.gantry_direction(d) for d in (g.column_direction(view), g.detector_frame(view)[1]))
+    return primary, secondary, columns, rows
 
 
 def detector_motion(geometry: AcquisitionGeometry) -> str:
     """Type of Detector Motion: the reference point of a turning detector moves unless the pivot lies in it."""
+    if geometry.detector_poses is not None:
+        return "STATIONARY" if np.all(geometry.detector_poses == geometry.detector_poses[0]) else "COMPLEX_STEP"
     if geometry.stationary:
         return "STATIONARY"
     return "ROTATION_STEP" if geometry.isocenter_height == 0 else "COMPLEX_STEP"

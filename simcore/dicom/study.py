@@ -109,7 +109,8 @@ class Study:
     def add_private(self, dataset: Dataset, schema: str, **facts: Any) -> None:
         """The private block: what the standard does not carry, and the geometry in plain words.
 
-        The signal is open_field x I / I0 + offset with an ideal flat field.
+        The signal is open_field x I / I0 + offset with an ideal flat field, I0 without anything in the beam; plates in
+        it (support, paddle) have slab_integral as their line integral along z.
         """
         private_json(
             dataset,
@@ -122,6 +123,7 @@ class Study:
                 "open_field": float(self.stack.open_field),
                 "offset": 0.0,
                 "flat_field": "ideal",
+                **({"slab_integral": self.stack.slab_integral} if self.stack.slab_integral else {}),
                 "geometry": self.stack.geometry.to_dict(),
                 **facts,
             },

@@ -59,6 +59,7 @@ def write_study(
         "export": spec.model_dump(),
         "projections": projection_digest,
         "open_field": float(stack.open_field),
+        **({"slab_integral": stack.slab_integral} if stack.slab_integral else {}),
         "geometry": stack.geometry.to_dict(),
         "volume": volume_digest,
         "grid": volume.grid.to_dict(),
@@ -127,7 +128,7 @@ def _projection_window(stack: ProjectionStack) -> tuple[float, float]:
     view = stack.data[stack.geometry.views // 2]
     _, y, x = _steps((1, *view.shape))
     values = view[::y, ::x]
-    breast = values[values < 0.8 * stack.open_field]
+    breast = values[values < 0.8 * stack.background]
     return breast_window(breast if breast.size else values)
 
 

@@ -1,4 +1,4 @@
-"""Whether a geometry can be served, and whether the breast's shadow lies on the detector."""
+"""Which tissues and rows of voxels matter, and whether the breast's shadow lies on the detector."""
 
 from __future__ import annotations
 
@@ -8,7 +8,6 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
-from simcore.core.errors import GeometryError
 from simcore.core.geometry import AcquisitionGeometry
 from simcore.core.grid import Grid
 
@@ -21,32 +20,6 @@ class Shadow:
     y_min: float
     y_max: float
     x_max: float
-
-
-def check_geometry(geometry: AcquisitionGeometry, grid: Grid) -> None:
-    """The source must lie above the phantom and the detector below it, in every view.
-
-    grid: the phantom's, in the detector frame.
-    raises: GeometryError
-    """
-    top, bottom = grid.upper[2], grid.corner[2]
-    half = geometry.detector.ny * geometry.detector.pixel / 2
-    for view in range(geometry.views):
-        source_z = float(geometry.sources[view, 2])
-        if source_z <= top:
-            raise GeometryError(
-                f"view {view} at {geometry.angles[view]:g} degrees: the source stands {source_z:.1f} mm above the "
-                f"detector, not above the top of the phantom at {top:.1f} mm; raise source_to_detector_mm "
-                f"({geometry.source_to_detector:g}) or lower angular_range_degrees"
-            )
-        origin, row = geometry.detector_frame(view)
-        highest = float(origin[2] + half * abs(row[2]))
-        if highest > bottom + 1e-9:
-            raise GeometryError(
-                f"view {view}: the edge of the detector, turned by {geometry.detector_angles[view]:g} degrees, rises "
-                f"to {highest:.2f} mm, above the bottom of the phantom at {bottom:.2f} mm; raise air_gap_mm "
-                f"({geometry.support_height:g}) or lower detector_range_degrees"
-            )
 
 
 def present(labels: NDArray[np.uint8], mu: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -98,38 +71,42 @@ def shadows(ends: NDArray[np.int32], grid: Grid, geometry: AcquisitionGeometry) 
     found = []
     for view in range(geometry.views):
         origin, row = geometry.detector_frame(view)
-        bounds = _shadow(ends, np.array(grid.corner), np.array(grid.spacing), geometry.sources[view], origin, row)
-        found.append(Shadow(*map(float, bounds)))
+        pose = np.stack([geometry.sources[view], origin, row, geometry.column_direction(view), geometry.normal(view)])
+        found.append(Shadow(*map(float, _shadow(ends, np.array(grid.corner), np.array(grid.spacing), pose))))
     return found
 
 
 @numba.njit(cache=True)
 def _shadow(
-    ends: NDArray[np.int32],
-    corner: NDArray[np.float64],
-    spacing: NDArray[np.float64],
-    source: NDArray[np.float64],
-    origin: NDArray[np.float64],
-    row: NDArray[np.float64],
+    ends: NDArray[np.int32], corner: NDArray[np.float64], spacing: NDArray[np.float64], pose: NDArray[np.float64]
 ) -> tuple[float, float, float]:
+    """pose: source, origin, directions of rows and columns, normal, (5, 3)."""
     y_min, y_max, x_max = np.inf, -np.inf, -np.inf
-    # The normal of the detector is (1, 0, 0) x row.
-    normal_y, normal_z = -row[2], row[1]
-    height = normal_y * (origin[1] - source[1]) + normal_z * (origin[2] - source[2])
+    source, origin, row, column, normal = pose
+    height = 0.0
+    for axis in range(3):
+        height += normal[axis] * (origin[axis] - source[axis])
+    # Where columns run along x, y on the detector is the same for all of a row of voxels.
+    near_ends = 0 if column[0] == 1.0 else 1
     nz, ny = ends.shape
     for k in range(nz):
         for j in range(ny):
             if ends[k, j] == 0:
                 continue
-            x = corner[0] + ends[k, j] * spacing[0] - source[0]
-            for upper_z in range(2):
-                z = corner[2] + (k + upper_z) * spacing[2] - source[2]
-                for upper_y in range(2):
-                    y = corner[1] + (j + upper_y) * spacing[1] - source[1]
-                    t = height / (normal_y * y + normal_z * z)
-                    along = row[1] * (source[1] + t * y - origin[1]) + row[2] * (source[2] + t * z - origin[2])
-                    y_min, y_max = min(y_min, along), max(y_max, along)
-                    x_max = max(x_max, source[0] + t * x)
+            for near in range(near_ends + 1):
+                x = corner[0] + (1 - near) * ends[k, j] * spacing[0] - source[0]
+                for upper_z in range(2):
+                    z = corner[2] + (k + upper_z) * spacing[2] - source[2]
+                    for upper_y in range(2):
+                        y = corner[1] + (j + upper_y) * spacing[1] - source[1]
+                        t = height / (normal[0] * x + normal[1] * y + normal[2] * z)
+                        along_x = source[0] + t * x - origin[0]
+                        along_y = source[1] + t * y - origin[1]
+                        along_z = source[2] + t * z - origin[2]
+                        on_row = row[0] * along_x + row[1] * along_y + row[2] * along_z
+                        on_column = column[0] * along_x + column[1] * along_y + column[2] * along_z
+                        y_min, y_max = min(y_min, on_row), max(y_max, on_row)
+                        x_max = max(x_max, on_column)
     return y_min, y_max, x_max
 
 

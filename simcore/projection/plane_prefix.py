@@ -11,8 +11,8 @@ times the length of the ray per unit of height. T is a running sum over slices, 
 single ray is one term for each column boundary it crosses. The idea of sharing the prefix sums along one axis is that
 of separable projectors; the lengths are Siddon's (Med. Phys. 12 (1985) 252-255) without approximation.
 
-A detector turned about the x axis is served too: each of its rows is replaced by the row of z = 0 that the same rays
-meet, with its own pixel pitch. A stationary detector shares the table of crossings between all rows.
+A detector that is moved or turned about the x axis is served too: each of its rows is replaced by the row of z = 0 that
+the same rays meet, with its own pixel pitch. A stationary detector shares the table of crossings between all rows.
 """
 
 from __future__ import annotations
@@ -49,8 +49,11 @@ volume's slices along y, in voxels; stretch, the pixel pitch on z = 0 relative t
 
 
 def serves(geometry: AcquisitionGeometry, view: int) -> bool:
-    """True where x falls from every pixel to the source: the source not beyond the chest-wall edge."""
-    return bool(geometry.sources[view, 0] < geometry.detector.pixel / 2)
+    """True where columns run along x, and x falls from every pixel to the source: it is not beyond the chest-wall
+    edge."""
+    along_x = geometry.column_direction(view)[0] == 1.0
+    edge = geometry.detector_frame(view)[0][0]
+    return bool(along_x and geometry.sources[view, 0] < edge + geometry.detector.pixel / 2)
 
 
 def project_planes(
@@ -83,7 +86,7 @@ def project_planes(
     top_y = (source_y - grid.corner[1] + virtual_y * share_top) / grid.spacing[1]
     rows = (bottom_y, top_y, stretch, virtual_y / source_z)
     source_cell = (source_x - grid.corner[0]) / grid.spacing[0]
-    pixel_x = detector.x_centres() - source_x
+    pixel_x = origin[0] + detector.x_centres() - source_x
     columns = (pixel_x, grid.spacing[0], source_cell, share_bottom, grid.spacing[2] / source_z)
     tile_rows = ROWS_PER_TILE if np.all(stretch == stretch[0]) else 1
     order = spread(-(-detector.ny // tile_rows))

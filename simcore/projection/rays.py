@@ -44,10 +44,11 @@ def project_rays(
         return
     origin = geometry.pixel_position(view, 0, 0)
     row_step = geometry.detector_frame(view)[1] * geometry.detector.pixel
+    column_step = geometry.column_direction(view) * geometry.detector.pixel
     source = geometry.sources[view]
     _project(
         labels, mu, np.array(grid.corner), np.array(grid.spacing), box, source, origin, row_step,
-        geometry.detector.pixel, step_mm, spread(geometry.detector.ny), out,
+        column_step, step_mm, spread(geometry.detector.ny), out,
     )  # fmt: skip
 
 
@@ -101,7 +102,7 @@ def _project(
     source: NDArray[np.float64],
     origin: NDArray[np.float64],
     row_step: NDArray[np.float64],
-    column_step: float,
+    column_step: NDArray[np.float64],
     step_mm: float,
     order: NDArray[np.int64],
     out: NDArray[np.float32],
@@ -115,9 +116,9 @@ def _project(
         box_high = (box[1, 0], box[1, 1], box[1, 2])
         for column in range(out.shape[1]):
             direction = (
-                origin[0] + column * column_step + row * row_step[0] - source[0],
-                origin[1] + row * row_step[1] - source[1],
-                origin[2] + row * row_step[2] - source[2],
+                origin[0] + column * column_step[0] + row * row_step[0] - source[0],
+                origin[1] + column * column_step[1] + row * row_step[1] - source[1],
+                origin[2] + column * column_step[2] + row * row_step[2] - source[2],
             )
             enter, leave = _clip(start, direction, box_low, box_high)
             if leave <= enter:

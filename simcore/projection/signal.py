@@ -15,12 +15,16 @@ HALVINGS = 6
 def pixel_values(
     integrals: NDArray[np.float32], open_field: float, bits: int, out: NDArray[np.uint16]
 ) -> NDArray[np.uint16]:
-    """round(open_field exp(-integral)), not above the largest number of ``bits``.
+    """round(open_field mean(exp(-integral))), not above the largest number of ``bits``.
 
-    integrals: float32 (ny, nx), dimensionless. out: uint16 (ny, nx), overwritten and returned.
-    The exponential is accurate to 1e-12 relative to 1.
+    integrals: float32 (n ny, n nx), dimensionless: n x n rays a pixel. The mean is that of intensities, as a detector
+    element adds up what falls on it; exp of the mean path would lose less light than a border within a pixel does.
+    out: uint16 (ny, nx), overwritten and returned. The exponential is accurate to 1e-12 relative to 1.
     """
-    _pixel_values(integrals, open_field, float(2**bits - 1), out)
+    if integrals.shape == out.shape:
+        _pixel_values(integrals, open_field, float(2**bits - 1), out)
+    else:
+        _mean_pixel_values(integrals, open_field, float(2**bits - 1), integrals.shape[0] // out.shape[0], out)
     return out
 
 
@@ -45,3 +49,18 @@ def _pixel_values(integrals: NDArray[np.float32], open_field: float, largest: fl
         for i in range(nx):
             integral = min(max(float(integrals[j, i]), 0.0), LARGEST)
             out[j, i] = int(min(open_field * attenuation(integral) + 0.5, largest))
+
+
+@numba.njit(parallel=True, cache=True, error_model="numpy")
+def _mean_pixel_values(
+    integrals: NDArray[np.float32], open_field: float, largest: float, rays: int, out: NDArray[np.uint16]
+) -> None:
+    ny, nx = out.shape
+    for j in numba.prange(ny):
+        mean = np.zeros(nx)
+        for row in range(j * rays, (j + 1) * rays):
+            for i in range(nx):
+                for column in range(i * rays, (i + 1) * rays):
+                    mean[i] += attenuation(min(max(float(integrals[row, column]), 0.0), LARGEST))
+        for i in range(nx):
+            out[j, i] = int(min(open_field * mean[i] / (rays * rays) + 0.5, largest))

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal, Self
 
-from pydantic import Field
+import numpy as np
+from pydantic import Field, field_validator, model_validator
 
 from simcore.core.spec_base import Spec, quantity
+
+ORTHONORMAL = 1e-6
 
 
 class DetectorSpec(Spec):
@@ -25,8 +28,78 @@ class DetectorSpec(Spec):
     )
 
 
+def _vector(description: str, default: Any = ...) -> Any:
+    return Field(default, min_length=3, max_length=3, description=f"{description}, [x, y, z]")
+
+
+class DetectorPoseSpec(Spec):
+    """Where the detector stands in one view, in the frame of the detector at rest (docs/conventions.md)."""
+
+    origin_mm: list[float] = _vector("middle of the chest-wall edge [mm]")
+    row_direction: list[float] = _vector(
+        "unit vector along which rows are counted: y, the tube travel, at rest", [0.0, 1.0, 0.0]
+    )
+    column_direction: list[float] = _vector(
+        "unit vector along which columns are counted: x, chest wall to nipple, at rest", [1.0, 0.0, 0.0]
+    )
+
+    @model_validator(mode="after")
+    def _orthonormal(self) -> Self:
+        rows, columns = np.array(self.row_direction), np.array(self.column_direction)
+        for name, vector in (("row_direction", rows), ("column_direction", columns)):
+            if abs(np.linalg.norm(vector) - 1.0) > ORTHONORMAL:
+                raise ValueError(f"{name} = {vector.tolist()} has length {np.linalg.norm(vector):g}; it must be 1")
+        if abs(rows @ columns) > ORTHONORMAL:
+            raise ValueError(
+                f"row_direction and column_direction must be perpendicular; their product is {rows @ columns:g}"
+            )
+        return self
+
+
+class ViewSpec(Spec):
+    """One view of a trajectory."""
+
+    source_mm: list[float] = _vector("focal spot in the detector frame [mm]")
+    detector: DetectorPoseSpec | None = Field(None, description="pose of the detector; at rest where not given")
+
+    @field_validator("source_mm")
+    @classmethod
+    def _above(cls, spot: list[float]) -> list[float]:
+        if spot[2] <= 0:
+            raise ValueError(
+                f"the focal spot must stand above the detector at rest: z = {spot[2]:g} mm is not above 0 mm"
+            )
+        return spot
+
+
+class SlabSpec(Spec):
+    """A plate without edges, parallel to the breast support."""
+
+    material: Literal["pmma", "polycarbonate", "carbon-fibre", "other"] = Field(
+        "pmma", description="material; other: attenuation_per_mm tells"
+    )
+    thickness_mm: float = quantity("thickness", unit="mm", default=2.5, gt=0.0, le=50.0)
+    attenuation_per_mm: float | None = Field(
+        None,
+        ge=0.0,
+        le=10.0,
+        json_schema_extra={"unit": "1/mm"},
+        description="linear attenuation coefficient of the material 'other' [1/mm]",
+    )
+
+    @model_validator(mode="after")
+    def _one_coefficient(self) -> Self:
+        if (self.material == "other") != (self.attenuation_per_mm is not None):
+            raise ValueError(
+                f"attenuation_per_mm = {self.attenuation_per_mm} and material = {self.material!r}: the material "
+                "'other' needs attenuation_per_mm, the others have theirs"
+            )
+        return self
+
+
 class AcquisitionSpec(Spec):
-    """Tube angles, distances, detector. The tube turns about the isocenter in the plane of the chest wall."""
+    """Tube angles, distances, detector. The tube turns about the isocenter in the plane of the chest wall, or its focal
+    spots are listed."""
 
     source_to_detector_mm: float = quantity(
         "source-to-image distance of the central view", unit="mm", default=660.0, ge=200.0, le=2000.0
@@ -45,13 +118,102 @@ class AcquisitionSpec(Spec):
         ge=0.0,
         le=60.0,
     )
+    trajectory: list[ViewSpec] | None = Field(
+        None,
+        min_length=1,
+        max_length=101,
+        description="focal spot, and where it moves the detector, of every view, instead of the turn about the "
+        "isocenter; views, angular_range_degrees and source_to_detector_mm then follow from it",
+    )
     air_gap_mm: float = quantity(
         "top of the breast support above the detector surface", unit="mm", default=20.0, ge=0.0, le=300.0
+    )
+    support: SlabSpec | None = Field(
+        None,
+        description="breast support as a plate of a material, its top air_gap_mm above the detector; nothing "
+        "where not given",
+    )
+    paddle: SlabSpec | None = Field(
+        None, description="compression paddle as a plate of a material on the breast; nothing where not given"
     )
     detector: DetectorSpec = DetectorSpec()
     truncation: Literal["refuse", "allow"] = Field(
         "refuse", description="what to do where the breast does not project wholly onto the detector in every view"
     )
+
+    @model_validator(mode="before")
+    @classmethod
+    def _follow_the_trajectory(cls, data: Any) -> Any:
+        if not isinstance(data, dict):
+            return data
+        return {**_of_trajectory(data.get("trajectory"), data.get("isocenter_height_mm", 40.0)), **data}
+
+    @model_validator(mode="after")
+    def _agrees_with_the_trajectory(self) -> Self:
+        if self.trajectory is None:
+            return self
+        if self.detector_range_degrees != 0.0:
+            raise ValueError(
+                f"detector_range_degrees = {self.detector_range_degrees:g}: in a trajectory each view has its own "
+                "detector; leave it out"
+            )
+        for name, value in _of_trajectory(self.trajectory, self.isocenter_height_mm).items():
+            if abs(getattr(self, name) - value) > 1e-6:
+                raise ValueError(
+                    f"{name} = {getattr(self, name):g}, but that of the trajectory is {value:g}; leave it out"
+                )
+        return self
+
+    @model_validator(mode="after")
+    def _support_fits(self) -> Self:
+        if self.support is not None and self.support.thickness_mm > self.air_gap_mm:
+            raise ValueError(
+                f"support.thickness_mm = {self.support.thickness_mm:g} does not fit below the top of the support at "
+                f"air_gap_mm = {self.air_gap_mm:g}"
+            )
+        return self
+
+    def parameters(self) -> dict[str, Any]:
+        """What results depend on: an option that is not used is left out, so that later ones leave old keys as they
+        were."""
+        return self.model_dump(exclude_none=True)
+
+    @property
+    def paddle_mm(self) -> float:
+        """Thickness of the paddle; 0 where it is not modelled."""
+        return 0.0 if self.paddle is None else self.paddle.thickness_mm
+
+    @property
+    def slabs(self) -> list[SlabSpec]:
+        """The plates in the beam."""
+        return [slab for slab in (self.support, self.paddle) if slab is not None]
+
+
+def tube_angles(sources: Any, isocenter_height: float) -> Any:
+    """Angle of focal spots (n, 3) about the isocenter in the y-z plane, degrees, positive towards +y."""
+    return np.rad2deg(np.arctan2(sources[:, 1], sources[:, 2] - isocenter_height))
+
+
+def _of_trajectory(trajectory: Any, isocenter_height: Any) -> dict[str, Any]:
+    """Number of views, angular range and central distance of listed views; nothing where they are not well formed."""
+    spots = []
+    for view in trajectory if isinstance(trajectory, list) else []:
+        given = dict(view) if isinstance(view, dict | ViewSpec) else {}
+        spot = given.get("source_mm")
+        if not (isinstance(spot, list) and len(spot) == 3 and all(type(c) in (int, float) for c in spot)):
+            return {}
+        if spot[2] <= 0:
+            return {}
+        spots.append(spot)
+    if not spots or type(isocenter_height) not in (int, float):
+        return {}
+    sources = np.array(spots, np.float64)
+    angles = tube_angles(sources, isocenter_height)
+    return {
+        "views": len(spots),
+        "angular_range_degrees": float(np.ptp(angles)),
+        "source_to_detector_mm": float(sources[np.argmin(np.abs(angles)), 2]),
+    }
 
 
 class PhysicsSpec(Spec):
@@ -74,6 +236,16 @@ class PhysicsSpec(Spec):
             description="distance of the samples of the trilinear sampling in voxel edges (Shannon: below 0.5) [1]",
         ),
     ] = 0.45
+    rays_per_pixel_edge: int = Field(
+        1,
+        ge=1,
+        le=8,
+        description="n x n rays meet each pixel, whose signal is the mean of their intensities [1]",
+    )
+
+    def parameters(self) -> dict[str, Any]:
+        """What results depend on; see AcquisitionSpec.parameters."""
+        return self.model_dump(exclude={"rays_per_pixel_edge"} if self.rays_per_pixel_edge == 1 else None)
 
     @property
     def energy_keV(self) -> float:

@@ -2,17 +2,22 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from simcore.core.artifacts import Phantom, ProjectionStack
 from simcore.core.errors import GeometryError
+from simcore.core.geometry import AcquisitionGeometry, Detector
 from simcore.core.progress import Progress
 from simcore.core.tissues import Tissue
 from simcore.projection import coverage
 from simcore.projection.acquisition import geometry_of
 from simcore.projection.integrals import line_integrals
 from simcore.projection.materials import attenuation_table
+from simcore.projection.poses import check_poses
 from simcore.projection.signal import pixel_values
+from simcore.projection.slabs import add_slabs, upright_integral
 from simcore.projection.spec import AcquisitionSpec, PhysicsSpec
 
 
@@ -21,7 +26,8 @@ def project_views(
 ) -> ProjectionStack:
     """See simcore.projection.project."""
     geometry = geometry_of(acquisition)
-    coverage.check_geometry(geometry, phantom.grid.moved(z=geometry.support_height))
+    grid = phantom.grid.moved(z=geometry.support_height)
+    check_poses(geometry, grid.corner[2], grid.upper[2] + acquisition.paddle_mm)
     bits, open_field = acquisition.detector.bits, acquisition.detector.open_field_value
     if open_field > 2**bits - 1:
         raise GeometryError(
@@ -31,7 +37,7 @@ def project_views(
     mu = attenuation_table(physics.attenuation)
     used = coverage.present(phantom.labels, mu)
     ends = coverage.row_ends(phantom.labels, used)
-    shadows = coverage.shadows(ends, phantom.grid.moved(z=geometry.support_height), geometry)
+    shadows = coverage.shadows(ends, grid, geometry)
     beyond = coverage.truncation(shadows, geometry)
     if beyond and acquisition.truncation == "refuse":
         raise GeometryError(
@@ -41,14 +47,18 @@ def project_views(
         )
     detector = geometry.detector
     data = np.empty((geometry.views, detector.ny, detector.nx), np.uint16)
-    integrals = np.empty((detector.ny, detector.nx), np.float32)
+    by_rays = with_rays(geometry, physics.rays_per_pixel_edge)
+    integrals = np.empty((by_rays.detector.ny, by_rays.detector.nx), np.float32)
+    upright = upright_integral(acquisition.slabs)
     largest = 0.0
     for view in range(geometry.views):
         progress(view / geometry.views, f"view {view + 1} of {geometry.views}")
         line_integrals(
-            phantom, geometry, view, used,
+            phantom, by_rays, view, used,
             sampling=physics.sampling, step_voxels=physics.step_voxels, ends=ends, out=integrals,
         )  # fmt: skip
+        if upright > 0.0:
+            add_slabs(upright, by_rays, view, integrals)
         largest = max(largest, float(integrals.max()))
         pixel_values(integrals, open_field, bits, data[view])
     progress(1.0, "projected")
@@ -57,7 +67,7 @@ def project_views(
         open_field=open_field,
         geometry=geometry,
         report={
-            "rays": data.size,
+            "rays": geometry.views * integrals.size,
             "max_line_integral": largest,
             "min_pixel_value": int(data.min()),
             "attenuation": physics.attenuation,
@@ -65,8 +75,18 @@ def project_views(
             "sampling": physics.sampling,
             "truncated": bool(beyond),
             "shadow_mm": _bounds(shadows),
+            **({"slab_integral": upright} if acquisition.slabs else {}),
         },
+        slab_integral=upright,
     )
+
+
+def with_rays(geometry: AcquisitionGeometry, rays: int) -> AcquisitionGeometry:
+    """The same geometry with ``rays`` x ``rays`` pixels in the place of each: their centres are where rays end."""
+    if rays == 1:
+        return geometry
+    detector = geometry.detector
+    return replace(geometry, detector=Detector(detector.ny * rays, detector.nx * rays, detector.pixel / rays))
 
 
 def _bounds(shadows: list[coverage.Shadow]) -> dict[str, float] | None:

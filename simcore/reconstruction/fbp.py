@@ -55,8 +55,9 @@ def filtered_backprojection(
     return backprojected_volume(filtered, plan, grid, spec, part(progress, 0.35, 1.0))
 
 
-def check(geometry: AcquisitionGeometry, grid: Grid) -> None:
+def check(geometry: AcquisitionGeometry, grid: Grid, in_plane: bool = True) -> None:
     """
+    in_plane: whether the sources must stand in the plane of the chest wall.
     raises: GeometryError where no volume can be made of these views.
     """
     if geometry.views < 2 or np.ptp(geometry.angles) <= 0:
@@ -70,10 +71,10 @@ def check(geometry: AcquisitionGeometry, grid: Grid) -> None:
             f"the slices reach z = {grid.upper[2]:g} mm, the source {lowest:g} mm: lower the thickness or the "
             "angular range, or raise source_to_detector_mm"
         )
-    if np.any(np.abs(geometry.sources[:, 0]) > 1e-9):
+    if in_plane and np.any(np.abs(geometry.sources[:, 0]) > 1e-9):
         raise GeometryError(
             f"source at x = {geometry.sources[:, 0].max():g} mm; back-projection needs the tube to turn in the plane "
-            "of the chest wall, x = 0 mm"
+            "of the chest wall, x = 0 mm; an iterative reconstruction takes any trajectory"
         )
 
 

@@ -74,29 +74,36 @@ def breast_grid(stack: ProjectionStack, whole: Grid) -> Grid:
 def _shadow_mm(stack: ProjectionStack, view: int) -> tuple[float, float, float] | None:
     """(y min, y max, x max) of a view's shadow on the plane z = 0, mm; infinite where it touches the detector's edge,
     None where there is none."""
-    detector = stack.geometry.detector
-    ends = _shadow_ends(stack.data[view], SHADOW_SIGNAL * stack.open_field)
+    geometry = stack.geometry
+    detector = geometry.detector
+    ends = _row_ends_of_shadow(stack, view)
     rows = np.flatnonzero(ends)
     if len(rows) == 0:
         return None
     first, last, columns = int(rows[0]), int(rows[-1]), int(ends.max())
-    origin, row_direction = stack.geometry.detector_frame(view)
-    source = stack.geometry.sources[view]
+    origin, row_direction = geometry.detector_frame(view)
+    column_direction = geometry.column_direction(view)
+    source = geometry.sources[view]
+    on_plane = []
+    for row in (first, last + 1):
+        for column in (0, columns):
+            point = origin + (row - detector.ny / 2) * detector.pixel * row_direction
+            point = point + column * detector.pixel * column_direction
+            on_plane.append(source + (point - source) * (source[2] / (source[2] - point[2])))
+    x, y, _ = np.transpose(on_plane)
+    low, high, far = first == 0, last == detector.ny - 1, columns == detector.nx
+    if column_direction[0] != 1.0:
+        low = high = far = low or high or far
+    return -np.inf if low else float(y.min()), np.inf if high else float(y.max()), np.inf if far else float(x.max())
 
-    def on_plane(y: float) -> tuple[float, float]:
-        """y on z = 0 of the ray to a point on the detector, and the factor of its x."""
-        point = origin + y * row_direction
-        share = source[2] / (source[2] - point[2])
-        return float(source[1] + (point[1] - source[1]) * share), float(share)
 
-    (y_low, share_low), (y_high, share_high) = (
-        on_plane((edge - detector.ny / 2) * detector.pixel) for edge in (first, last + 1)
-    )
-    return (
-        -np.inf if first == 0 else y_low,
-        np.inf if last == detector.ny - 1 else y_high,
-        np.inf if columns == detector.nx else columns * detector.pixel * max(share_low, share_high),
-    )
+def _row_ends_of_shadow(stack: ProjectionStack, view: int) -> NDArray[np.int64]:
+    """See ``_shadow_ends``; behind plates the open field is darker, the more the more oblique the ray."""
+    signal, open_field = stack.data[view], stack.open_field
+    if stack.slab_integral == 0:
+        return np.asarray(_shadow_ends(signal, SHADOW_SIGNAL * open_field))
+    behind_plates = open_field * np.exp(-stack.slab_integral * stack.geometry.obliquity(view))
+    return np.asarray(_shadow_ends((signal >= SHADOW_SIGNAL * behind_plates).astype(np.uint16), 0.5))
 
 
 @njit(cache=True, parallel=True)

@@ -71,7 +71,7 @@ def iterate(
     """
     geometry = stack.geometry
     whole = volume_grid(geometry, spec, thickness_mm)
-    check(geometry, whole)
+    check(geometry, whole, in_plane=False)
     measurement = measure(stack, breast_grid(stack, whole))
     correct = corrected_by(measurement)
     volume = _start(stack, spec, thickness_mm, measurement.grid, part(progress, 0.0, 0.1))
@@ -106,8 +106,8 @@ def measure(stack: ProjectionStack, grid: Grid) -> Measurement:
     binning = max(1, math.floor(grid.spacing[0] / detector.pixel + 1e-6))
     while detector.ny % binning:
         binning -= 1
-    lowest = float(geometry.sources[:, 2].min())
-    reach = grid.upper[0] * lowest / (lowest - grid.upper[2])
+    source_x, _, source_z = geometry.sources.T
+    reach = float(np.max(source_x + (grid.upper[0] - source_x) * source_z / (source_z - grid.upper[2])))
     nx = max(1, min(detector.nx // binning, math.ceil(reach / detector.pixel / binning) + 1))
     binned = Detector(detector.ny // binning, nx, detector.pixel * binning)
     integrals = np.empty((geometry.views, binned.ny, nx), np.float32)
@@ -116,11 +116,11 @@ def measure(stack: ProjectionStack, grid: Grid) -> Measurement:
             stop = min(start + COLUMNS, nx)
             columns = slice(start * binning, stop * binning)
             values = line_integrals(stack, view, columns)
-            if geometry.detector_angles[view] != 0:
+            if not geometry.at_rest(view):
                 values[~measured_pixels(geometry, view, columns)] = np.nan
             pixels = values.reshape(binned.ny, binning, stop - start, binning)
             integrals[view, :, start:stop] = pixels.mean(axis=(1, 3))
-    at_rest = replace(geometry, detector=binned, detector_angles=np.zeros(geometry.views))
+    at_rest = replace(geometry, detector=binned, detector_angles=np.zeros(geometry.views), detector_poses=None)
     return Measurement(integrals, crossings_of(grid, at_rest))
 
 

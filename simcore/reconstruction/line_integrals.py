@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from simcore.core.artifacts import ProjectionStack, frozen
 from simcore.core.geometry import AcquisitionGeometry
+from simcore.reconstruction.filters import chord_weights
 
 FloatArray = NDArray[np.float32]
 
@@ -46,25 +47,61 @@ def _last_attenuated_column(view: NDArray[np.uint16], table: FloatArray) -> int:
 
 
 def line_integrals(stack: ProjectionStack, view: int, columns: slice) -> FloatArray:
-    """Line integrals of some columns of a view on the plane z = 0, float32 (ny, columns).
+    """Line integrals of the breast for some columns of a view on the plane z = 0, float32 (ny, columns).
 
-    Where the detector turns with the tube, each pixel of a virtual detector at rest is joined to the source, and the
-    line integrals of the turned detector are interpolated bilinearly where that ray meets it; zero where it misses.
+    Where the detector is not at rest, each pixel of a virtual detector at rest is joined to the source, and the line
+    integrals of the real one are interpolated bilinearly where that ray meets it; zero where it misses. Those of
+    plates in the beam are subtracted.
     """
     table = attenuation_table(stack.open_field)
-    if stack.geometry.detector_angles[view] == 0:
-        return np.asarray(table.take(stack.data[view, :, columns], mode="clip"))
-    rows, scale = _rows_on_turned_detector(stack.geometry, view)
-    return np.asarray(_resample_turned(stack.data[view], table, rows, scale, columns.start, columns.stop))
+    geometry = stack.geometry
+    if geometry.at_rest(view):
+        values = np.asarray(table.take(stack.data[view, :, columns], mode="clip"))
+    elif geometry.detector_poses is None:
+        rows, scale = _rows_on_turned_detector(geometry, view)
+        values = np.asarray(_resample_turned(stack.data[view], table, rows, scale, columns.start, columns.stop))
+    else:
+        row, column = _pixels_on_detector(geometry, view, columns)
+        values = np.asarray(_resample(stack.data[view], table, row, column))
+    if stack.slab_integral > 0:
+        slabs = np.float32(stack.slab_integral) / chord_weights(geometry, view, columns, 1.0)
+        values -= slabs if geometry.at_rest(view) else np.where(measured_pixels(geometry, view, columns), slabs, 0)
+    return values
 
 
 def measured_pixels(geometry: AcquisitionGeometry, view: int, columns: slice) -> NDArray[np.bool_]:
     """True for pixels of the plane z = 0 whose ray meets the detector of a view, (ny, columns)."""
     detector = geometry.detector
-    rows, scale = _rows_on_turned_detector(geometry, view)
-    column = (np.arange(columns.start, columns.stop) + 0.5) * scale[:, None] - 0.5
-    met = (rows >= -0.5) & (rows <= detector.ny - 0.5)
-    return np.asarray(met[:, None] & (column <= detector.nx - 0.5))
+    if geometry.detector_poses is None:
+        rows, scale = _rows_on_turned_detector(geometry, view)
+        column = (np.arange(columns.start, columns.stop) + 0.5) * scale[:, None] - 0.5
+        met = (rows >= -0.5) & (rows <= detector.ny - 0.5)
+        return np.asarray(met[:, None] & (column <= detector.nx - 0.5))
+    row, column = _pixels_on_detector(geometry, view, columns)
+    on_row = (row >= -0.5) & (row <= detector.ny - 0.5)
+    return np.asarray(on_row & (column >= -0.5) & (column <= detector.nx - 0.5))
+
+
+def _pixels_on_detector(
+    geometry: AcquisitionGeometry, view: int, columns: slice
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Where the rays through some columns of the plane z = 0 meet the detector, whatever its pose: row and column
+    (fractions), each float64 (ny, columns); nan where they do not."""
+    detector = geometry.detector
+    source = geometry.sources[view]
+    origin, row_direction = geometry.detector_frame(view)
+    normal = geometry.normal(view)
+    x = detector.x_centres()[columns] - source[0]
+    y = detector.y_centres()[:, None] - source[1]
+    z = -source[2]
+    towards = normal[0] * x + normal[1] * y + normal[2] * z
+    scale = float(normal @ (origin - source)) / np.where(towards < 0, towards, np.nan)
+
+    def along(direction: NDArray[np.float64]) -> NDArray[np.float64]:
+        met = scale * (direction[0] * x + direction[1] * y + direction[2] * z)
+        return np.asarray((met + direction @ (source - origin)) / detector.pixel)
+
+    return along(row_direction) + (detector.ny - 1) / 2, along(geometry.column_direction(view)) - 0.5
 
 
 def _rows_on_turned_detector(
@@ -101,18 +138,36 @@ def _resample_turned(
         if rows[j] < -0.5 or rows[j] > ny - 0.5:
             continue
         row = min(max(rows[j], 0.0), ny - 1.0)
-        lower = min(int(row), max(ny - 2, 0))
-        upper = min(lower + 1, ny - 1)
-        up = row - lower
         for i in range(stop - first):
             column = (first + i + 0.5) * scale[j] - 0.5
             if column > nx - 0.5:
                 break
-            column = min(max(column, 0.0), nx - 1.0)
-            left = min(int(column), max(nx - 2, 0))
-            right = min(left + 1, nx - 1)
-            along = column - left
-            below = (1.0 - along) * table[view[lower, left]] + along * table[view[lower, right]]
-            above = (1.0 - along) * table[view[upper, left]] + along * table[view[upper, right]]
-            result[j, i] = (1.0 - up) * below + up * above
+            result[j, i] = _bilinear(view, table, row, min(max(column, 0.0), nx - 1.0))
     return result
+
+
+@njit(cache=True, nogil=True)
+def _resample(
+    view: NDArray[np.uint16], table: FloatArray, rows: NDArray[np.float64], columns: NDArray[np.float64]
+) -> FloatArray:
+    """As ``_resample_turned``, at any row and column."""
+    ny, nx = view.shape
+    result = np.zeros(rows.shape, np.float32)
+    for j in range(rows.shape[0]):
+        for i in range(rows.shape[1]):
+            row, column = rows[j, i], columns[j, i]
+            if not (-0.5 <= row <= ny - 0.5 and -0.5 <= column <= nx - 0.5):
+                continue
+            result[j, i] = _bilinear(view, table, min(max(row, 0.0), ny - 1.0), min(max(column, 0.0), nx - 1.0))
+    return result
+
+
+@njit(cache=True, nogil=True)
+def _bilinear(view: NDArray[np.uint16], table: FloatArray, row: float, column: float) -> float:
+    ny, nx = view.shape
+    lower, left = min(int(row), max(ny - 2, 0)), min(int(column), max(nx - 2, 0))
+    upper, right = min(lower + 1, ny - 1), min(left + 1, nx - 1)
+    up, along = row - lower, column - left
+    below = (1.0 - along) * table[view[lower, left]] + along * table[view[lower, right]]
+    above = (1.0 - along) * table[view[upper, left]] + along * table[view[upper, right]]
+    return float((1.0 - up) * below + up * above)
