@@ -9,8 +9,22 @@ from typing import Any
 from fastapi import Depends, FastAPI
 from fastapi.concurrency import run_in_threadpool
 
-from api import artifacts, catalog, errors, events, health, page, phantoms, simulations, studies, webhooks
+from api import (
+    artifacts,
+    catalog,
+    deliveries,
+    destinations,
+    errors,
+    events,
+    health,
+    page,
+    phantoms,
+    simulations,
+    studies,
+    webhooks,
+)
 from api.auth import authenticate
+from api.automatic import posted_simulation_schema
 from api.deps import Services
 from api.dicomweb import routes as dicomweb
 from api.guard import Guard
@@ -42,7 +56,7 @@ def create_app(settings: Settings | None = None, messenger: Messenger | None = N
     async def lifespan(app: FastAPI) -> AsyncIterator[None]:
         served = await run_in_threadpool(Services.open, chosen, messenger)
         app.state.services = served
-        reaper = Reaper(chosen, served.jobs, served.fleet, served.messenger)
+        reaper = Reaper(chosen, served.jobs, served.fleet, served.messenger, served.deliveries)
         courier = Courier(chosen, served.webhooks)
         if sweep:
             reaper.start()
@@ -68,7 +82,7 @@ def create_app(settings: Settings | None = None, messenger: Messenger | None = N
     errors.install(app)
     app.add_middleware(Guard)
     app.add_middleware(Requests)
-    for module in (simulations, events, artifacts, studies, phantoms, webhooks, catalog):
+    for module in (simulations, events, artifacts, studies, phantoms, destinations, deliveries, webhooks, catalog):
         app.include_router(module.router, prefix=PREFIX, dependencies=[Depends(authenticate)])
     app.include_router(dicomweb.router)
     app.include_router(health.router)
@@ -92,6 +106,7 @@ def _describe_specification(app: FastAPI) -> None:
                 schema = model.model_json_schema(ref_template="#/components/schemas/{model}")
                 schemas.update(schema.pop("$defs", {}))
                 schemas[model.__name__] = schema
+            schemas["PostedSimulation"] = posted_simulation_schema(schemas["SimulationSpec"])
             app.openapi_schema = description
         return app.openapi_schema
 

@@ -20,8 +20,13 @@ async def posted(request: Request, model: type[Model]) -> Model:
     kind = request.headers.get("content-type", "").partition(";")[0].strip().lower()
     if kind != "application/json" and not kind.endswith("+json"):
         raise ApiError(415, "unsupported-media-type", f"Content-Type = {kind!r}: the body must be application/json")
+    return parsed(await read_body(request, services(request).settings.body_limit_bytes), model)
+
+
+def parsed(text: bytes, model: type[Model]) -> Model:
+    """A document from JSON. raises: ApiError 422 naming every wrong field"""
     try:
-        return model.model_validate_json(await read_body(request, services(request).settings.body_limit_bytes))
+        return model.model_validate_json(text)
     except ValidationError as error:
         items = [_item(dict(found)) for found in error.errors(include_url=False, include_context=False)]
         detail = "; ".join(f"{item['pointer'] or 'the body'}: {item['detail']}" for item in items)

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import json
 import re
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Annotated
+from typing import Annotated, Any
 
 from fastapi import Depends, Request
 
@@ -14,6 +15,8 @@ from simcore.core.store import Store
 from simcore.spec import SimulationSpec
 from worker import schema
 from worker.database import connect
+from worker.deliveries import Deliveries
+from worker.destinations import Destinations
 from worker.fleet import Fleet
 from worker.idempotency import Idempotency
 from worker.jobs import Jobs, NotFoundError
@@ -65,6 +68,16 @@ class Services:
         """The repository of webhooks."""
         return Webhooks(self.jobs.engine, self.jobs.clock)
 
+    @property
+    def destinations(self) -> Destinations:
+        """The repository of destinations."""
+        return Destinations(self.jobs.engine, self.jobs.clock)
+
+    @property
+    def deliveries(self) -> Deliveries:
+        """The repository of deliveries."""
+        return Deliveries(self.jobs.engine, self.jobs.lease_seconds, self.jobs.clock)
+
     def close(self) -> None:
         self.jobs.engine.dispose()
 
@@ -93,12 +106,34 @@ Identifier = Annotated[str, Depends(identifier_of("simulation"))]
 StudyIdentifier = Annotated[str, Depends(identifier_of("study"))]
 
 
-async def _posted_specification(request: Request) -> SimulationSpec:
-    """The specification in the body.
+@dataclass(frozen=True)
+class PostedCase:
+    """A posted document: the specification, and what else it asks for. deliver: as JSON has it; None: not given."""
 
-    raises: ApiError 413, 415; SpecError naming every wrong field.
-    """
-    return SimulationSpec.parse(await read_json(request))
+    specification: bytes
+    deliver: Any
+
+
+async def _posted_case(request: Request) -> PostedCase:
+    """The body, taken apart: ``deliver`` is no part of what a case is. raises: ApiError 413, 415"""
+    body = await read_json(request)
+    if b'"deliver"' in body:
+        try:
+            found = json.loads(body)
+        except ValueError:
+            return PostedCase(body, None)  # reading the specification says what is wrong
+        if isinstance(found, dict) and "deliver" in found:
+            deliver = found.pop("deliver")
+            return PostedCase(json.dumps(found).encode(), deliver)
+    return PostedCase(body, None)
+
+
+PostedCaseBody = Annotated[PostedCase, Depends(_posted_case)]
+
+
+def _posted_specification(case: PostedCaseBody) -> SimulationSpec:
+    """The specification in the body. raises: SpecError naming every wrong field"""
+    return SimulationSpec.parse(case.specification)
 
 
 async def read_json(request: Request) -> bytes:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import time
 from collections.abc import AsyncIterator
-from typing import Annotated
+from typing import Annotated, Any
 
 import anyio
 from fastapi import APIRouter, Header
@@ -17,11 +17,13 @@ from api.deps import Identifier, Served
 from api.errors import ApiError
 from api.resources import simulation_path
 from worker.contract import EVENT_STATE, FINAL_STATES
-from worker.jobs import Event, Jobs
+from worker.leases import Event, Leases
 
 POLL_SECONDS = 0.3
 HEARTBEAT_SECONDS = 15.0
 RECONNECT_MILLISECONDS = 2000
+
+STREAM_HEADERS = {"Cache-Control": "no-store", "X-Accel-Buffering": "no"}
 
 router = APIRouter(prefix="/simulations", tags=["simulations"])
 
@@ -40,13 +42,13 @@ def events(
     """Events ``state`` and ``progress`` from the first (or after Last-Event-ID) to the final state."""
     served.jobs.get(identifier)
     return StreamingResponse(
-        _stream(served.jobs, identifier, _sequence(last_event_id)),
+        stream(served.jobs, identifier, sequence_of(last_event_id), simulation_path(identifier)),
         media_type="text/event-stream",
-        headers={"Cache-Control": "no-store", "X-Accel-Buffering": "no"},
+        headers=STREAM_HEADERS,
     )
 
 
-def _sequence(last_event_id: str | None) -> int:
+def sequence_of(last_event_id: str | None) -> int:
     if not last_event_id:
         return 0
     if last_event_id.isascii() and last_event_id.isdigit() and len(last_event_id) <= 9:
@@ -54,17 +56,18 @@ def _sequence(last_event_id: str | None) -> int:
     raise ApiError(400, "bad-event-id", f"Last-Event-ID = {last_event_id[:80]!r}: a number that this stream sent")
 
 
-async def _stream(jobs: Jobs, identifier: str, sequence: int) -> AsyncIterator[str]:
+async def stream(leases: Leases[Any], identifier: str, sequence: int, path: str) -> AsyncIterator[str]:
+    """The events of a row after ``sequence`` until its end; the final one names its ``path``."""
     yield f"retry: {RECONNECT_MILLISECONDS}\n\n"
     spoke = time.monotonic()
     while True:
-        for event in await run_in_threadpool(jobs.events_after, identifier, sequence):
+        for event in await run_in_threadpool(leases.events_after, identifier, sequence):
             sequence = event.sequence
             spoke = time.monotonic()
-            yield _format(identifier, event)
+            yield _format(event, leases.what, path)
         # The row says when there is nothing more to come: a retried case goes on after a final event, and a client
         # that has seen the last event must not wait for another.
-        if await run_in_threadpool(_ended, jobs, identifier, sequence):
+        if await run_in_threadpool(_ended, leases, identifier, sequence):
             return
         if time.monotonic() - spoke > HEARTBEAT_SECONDS:
             spoke = time.monotonic()
@@ -72,16 +75,16 @@ async def _stream(jobs: Jobs, identifier: str, sequence: int) -> AsyncIterator[s
         await anyio.sleep(POLL_SECONDS)
 
 
-def _ended(jobs: Jobs, identifier: str, sequence: int) -> bool:
+def _ended(leases: Leases[Any], identifier: str, sequence: int) -> bool:
     try:
-        row = jobs.get(identifier)
+        row = leases.get(identifier)
     except LookupError:
         return True
-    return row.is_final and row.revision <= sequence
+    return bool(row.is_final and row.revision <= sequence)
 
 
-def _format(identifier: str, event: Event) -> str:
+def _format(event: Event, what: str, path: str) -> str:
     data = {**event.data, "at": event.at}
     if event.kind == EVENT_STATE and event.data.get("state") in FINAL_STATES:
-        data["simulation"] = simulation_path(identifier)
+        data[what] = path
     return f"id: {event.sequence}\nevent: {event.kind}\ndata: {json.dumps(data)}\n\n"

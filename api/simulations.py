@@ -9,6 +9,7 @@ from fastapi import APIRouter, Header, Query, Request, Response
 
 from api import pages
 from api.auth import Read, Submitting, Write
+from api.automatic import BODY_WITH_DELIVER, WantedDeliveries, require_deliver
 from api.conditions import none_match
 from api.deps import Identifier, PostedSpecification, Served, Services
 from api.errors import ApiError
@@ -37,11 +38,12 @@ _BODY: dict[str, Any] = {
 router = APIRouter(prefix="/simulations", tags=["simulations"], route_class=IdempotentRoute)
 
 
-@router.post("", status_code=202, openapi_extra=_BODY)
+@router.post("", status_code=202, openapi_extra=BODY_WITH_DELIVER)
 def create(
     caller: Write,
     submitter: Submitting,
     specification: PostedSpecification,
+    wanted: WantedDeliveries,
     served: Served,
     making: Making,
     request: Request,
@@ -49,7 +51,8 @@ def create(
     priority: Annotated[Priority, Query(description="interactive cases go before batch ones")] = "interactive",
     device: Annotated[Device, Query(description="kind of worker; gpu where the service has one")] = "cpu",
 ) -> SimulationResource:
-    """Takes a case into the queue."""
+    """Takes a case into the queue. ``deliver``, beside the specification, sends its files when it has succeeded."""
+    require_deliver(caller, wanted)
     data = specification.model_dump(mode="json")
     queue = chosen_queue(served, priority, device)
     row = _made_before(served, making.identifier) if making.again else None
@@ -58,7 +61,13 @@ def create(
         served.store.require_space(needs.storage_bytes)
         name = specification.name.replace("\0", "")
         row = served.jobs.create(
-            data, needs.model_dump(mode="json"), name, queue, identifier=making.identifier, submitter=submitter
+            data,
+            needs.model_dump(mode="json"),
+            name,
+            queue,
+            identifier=making.identifier,
+            submitter=submitter,
+            deliver=wanted,
         )
         send(served, row)
     response.headers.update({"Location": str(request.base_url).rstrip("/") + simulation_path(row.id), **RETRY_AFTER})

@@ -14,10 +14,14 @@ ACTIVE_STATES: tuple[State, ...] = ("running", "cancelling")
 TASK_SIMULATE = "tomosim.simulate"
 """Name of the Celery task; its one argument is the identifier of a simulation."""
 
+TASK_DELIVER = "tomosim.deliver"
+"""As above; its argument is the identifier of a delivery."""
+
 Queue = Literal["interactive", "delivery", "batch", "gpu.interactive", "gpu.batch"]
 QUEUES: tuple[Queue, ...] = get_args(Queue)
 """In the order in which a worker looks into those that it serves."""
 
+SIMULATION_QUEUES: tuple[Queue, ...] = tuple(name for name in QUEUES if name != "delivery")
 DEFAULT_QUEUE: Queue = "interactive"
 
 Priority = Literal["interactive", "batch"]

@@ -25,6 +25,8 @@ simulations = sa.Table(
     sa.Column("specification", sa.JSON, nullable=False),
     sa.Column("estimate", sa.JSON, nullable=False),
     sa.Column("queue", sa.String(16), nullable=False),
+    # Deliveries that are made when it has succeeded: [{"destination", "name", "files"}].
+    sa.Column("deliver", sa.JSON(none_as_null=True)),
     # Raised with every change; the number of the latest event.
     sa.Column("revision", sa.Integer, nullable=False, default=1),
     sa.Column("created", sa.Double, nullable=False),

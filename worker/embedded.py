@@ -29,6 +29,7 @@ from sqlalchemy.exc import SQLAlchemyError
 from simcore.core.errors import SimulationError
 from worker import broker, processes, schema
 from worker.database import connect
+from worker.deliveries import Deliveries
 from worker.jobs import Jobs
 from worker.keys import Keys, check_address
 from worker.settings import Settings
@@ -171,8 +172,10 @@ def _start_all(settings: Settings, children: list[Child], signals: _Signals) -> 
     logs = settings.data_folder / "logs"
     logs.mkdir(exist_ok=True)
     _prepare_database(settings)
-    expire = partial(_expire_leases, settings)
+    expire = partial(_expire_leases, settings, Jobs)
+    expire_deliveries = partial(_expire_leases, settings, Deliveries)
     expire()
+    expire_deliveries()
     env = processes.environment(settings, TOMOSIM_BROKER_URL=settings.resolved_broker_url)
     # Who may ask is the business of the API alone.
     keyless = {**env, "TOMOSIM_ADMIN_KEY": "", "TOMOSIM_ADMIN_KEY_FILE": ""}
@@ -190,6 +193,7 @@ def _start_all(settings: Settings, children: list[Child], signals: _Signals) -> 
         server = child("broker", lambda: broker.command(settings))
         _wait(lambda: broker.answers(settings), server, signals)
     child("worker", lambda: [sys.executable, "-m", "worker"]).ended = expire
+    child("delivery", lambda: [sys.executable, "-m", "worker.delivery"]).ended = expire_deliveries
     api = child("api", lambda: [sys.executable, "-m", "api"], env)
     _wait(lambda: _is_ready(settings), api, signals, children)
 
@@ -205,13 +209,13 @@ def _prepare_database(settings: Settings) -> None:
         engine.dispose()
 
 
-def _expire_leases(settings: Settings) -> None:
-    """The cases of a worker that is gone are taken up at once, not when their leases run out."""
+def _expire_leases(settings: Settings, repository: type[Jobs] | type[Deliveries]) -> None:
+    """The cases (or deliveries) of a worker that is gone are taken up at once, not when their leases run out."""
     if settings.database_url:
         return  # other machines may work for this database; ours alone is the one in our folder
     engine = connect(settings.resolved_database_url)
     try:
-        Jobs(engine).expire_leases()
+        repository(engine).expire_leases()
     except SQLAlchemyError as error:
         _say(f"the database does not answer: {error}")
     finally:

@@ -11,6 +11,7 @@ import sqlalchemy as sa
 from worker import quotas, webhooks
 from worker.contract import DEFAULT_QUEUE, EVENT_PROGRESS, EVENT_STATE, Queue, State, WebhookEvent
 from worker.database import events, reading, simulations
+from worker.deliveries import Deliveries
 from worker.leases import Event as Event
 from worker.leases import Json, Leased, Leases
 from worker.leases import NotFoundError as NotFoundError
@@ -71,10 +72,12 @@ class Jobs(Leases[Simulation]):
         queue: Queue = DEFAULT_QUEUE,
         identifier: str | None = None,
         submitter: Submitter = UNKNOWN,
+        deliver: list[Json] | None = None,
     ) -> Simulation:
         """A new queued simulation; its message is sent after this has returned.
 
-        identifier: a new one where not given.
+        identifier: a new one where not given. deliver: where its files go when it has succeeded:
+        [{"destination": id, "name", "files": patterns}].
         raises: QuotaError where the submitter may have no more.
         """
         identifier = identifier or uuid.uuid4().hex
@@ -85,6 +88,7 @@ class Jobs(Leases[Simulation]):
             "specification": specification,
             "estimate": estimate,
             "queue": queue,
+            "deliver": deliver or None,
             "created": self.clock(),
             **submitter.columns(),
         }
@@ -139,8 +143,19 @@ class Jobs(Leases[Simulation]):
 
     def _ended(self, connection: sa.Connection, identifier: str) -> None:
         row = self._one(connection, identifier)
+        if row.state == "succeeded":
+            self._deliver(connection, identifier)
         event = cast(WebhookEvent, f"simulation.{row.state}")
         webhooks.announce(connection, self.clock(), event, lambda: _told(row))
+
+    def _deliver(self, connection: sa.Connection, identifier: str) -> None:
+        """The deliveries that were asked for with the simulation begin with its success."""
+        c = simulations.c
+        found = connection.execute(sa.select(c.deliver, c.manifest).where(c.id == identifier)).one()
+        for wanted in found.deliver or ():
+            Deliveries(self.engine, self.lease_seconds, self.clock).insert_automatic(
+                connection, identifier, wanted, found.manifest
+            )
 
     def _column(self, identifier: str, name: str) -> Any:
         with reading(self.engine) as connection:

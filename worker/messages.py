@@ -6,17 +6,20 @@ from typing import Any, Protocol
 
 from celery import Celery
 
-from worker.contract import DEFAULT_QUEUE, TASK_SIMULATE, Queue
+from worker.contract import DEFAULT_QUEUE, TASK_DELIVER, TASK_SIMULATE, Queue
 from worker.settings import Settings
 
 CONNECT_SECONDS = 2.0
 
 
 class Messenger(Protocol):
-    """What sends the messages of simulations."""
+    """What sends the messages of simulations and deliveries."""
 
     def send(self, identifier: str, queue: Queue = DEFAULT_QUEUE) -> None:
-        """Sends a message for a simulation. raises: Exception where the broker does not take it"""
+        """Sends a message for a simulation, or on the queue ``delivery`` for a delivery.
+
+        raises: Exception where the broker does not take it
+        """
 
     def waiting(self, queue: Queue) -> int:
         """Messages of a queue that no worker has taken yet. raises: Exception where the broker does not answer"""
@@ -61,7 +64,8 @@ class CeleryMessenger:
 
     def send(self, identifier: str, queue: Queue = DEFAULT_QUEUE) -> None:
         with self._connection() as connection:
-            self._app.send_task(TASK_SIMULATE, args=[identifier], queue=queue, connection=connection, retry=False)
+            task = TASK_DELIVER if queue == "delivery" else TASK_SIMULATE
+            self._app.send_task(task, args=[identifier], queue=queue, connection=connection, retry=False)
 
     def waiting(self, queue: Queue) -> int:
         with self._connection() as connection:

@@ -8,7 +8,8 @@ from __future__ import annotations
 import logging
 import threading
 
-from worker.contract import QUEUES
+from worker.contract import SIMULATION_QUEUES, Queue
+from worker.deliveries import Deliveries, Delivery
 from worker.fleet import Fleet
 from worker.idempotency import Idempotency
 from worker.jobs import Jobs, Simulation
@@ -23,9 +24,17 @@ FORGET_WORKERS_SECONDS = 24 * 3600.0
 class Reaper:
     """Runs ``sweep`` every few seconds in a thread of its own."""
 
-    def __init__(self, settings: Settings, jobs: Jobs, fleet: Fleet, messenger: Messenger) -> None:
+    def __init__(
+        self,
+        settings: Settings,
+        jobs: Jobs,
+        fleet: Fleet,
+        messenger: Messenger,
+        deliveries: Deliveries | None = None,
+    ) -> None:
         self.settings = settings
         self.jobs = jobs
+        self.deliveries = deliveries
         self.fleet = fleet
         self.messenger = messenger
         self.idempotency = Idempotency(jobs.engine, settings.idempotency_seconds)
@@ -42,23 +51,32 @@ class Reaper:
 
     def sweep(self) -> None:
         """One pass. raises: Exception where the database or the broker does not answer"""
-        for identifier in self.jobs.take_back(self.settings.max_attempts):
-            log.warning("lease ran out", extra={"simulation": identifier})
-        for job in self.jobs.unsent():
-            self._send(job)
-        for queue in QUEUES:
-            lost = self.jobs.sent_to(queue, self.jobs.clock() - self.settings.resend_seconds)
-            # Behind a long queue a message waits for hours. It is lost only where the broker has none left there.
-            if lost and self.messenger.waiting(queue) == 0:
-                for job in lost:
-                    log.warning("message was lost", extra={"simulation": job.id})
-                    self._send(job)
+        self._revive(self.jobs)
+        for queue in SIMULATION_QUEUES:
+            self._find_lost(self.jobs, queue)
+        if self.deliveries is not None:
+            self._revive(self.deliveries)
+            self._find_lost(self.deliveries, "delivery")
         self.fleet.forget(FORGET_WORKERS_SECONDS)
         self.idempotency.forget()
 
-    def _send(self, job: Simulation) -> None:
-        self.messenger.send(job.id, job.queue)
-        self.jobs.mark_sent(job.id)
+    def _revive(self, leases: Jobs | Deliveries) -> None:
+        for identifier in leases.take_back(self.settings.max_attempts):
+            log.warning("lease ran out", extra={leases.what: identifier})
+        for row in leases.unsent():
+            self._send(leases, row)
+
+    def _find_lost(self, leases: Jobs | Deliveries, queue: Queue) -> None:
+        lost = leases.sent_to(queue, leases.clock() - self.settings.resend_seconds)
+        # Behind a long queue a message waits for hours. It is lost only where the broker has none left there.
+        if lost and self.messenger.waiting(queue) == 0:
+            for row in lost:
+                log.warning("message was lost", extra={leases.what: row.id})
+                self._send(leases, row)
+
+    def _send(self, leases: Jobs | Deliveries, row: Simulation | Delivery) -> None:
+        self.messenger.send(row.id, row.queue)
+        leases.mark_sent(row.id)
 
     def _loop(self) -> None:
         while not self._stopping.wait(self.settings.sweep_seconds):

@@ -17,7 +17,8 @@ from pydantic_settings import BaseSettings, SettingsConfigDict
 from simcore.core.bucket import Location
 from simcore.core.errors import SimulationError, StoreError
 from simcore.core.memory import physical_bytes
-from worker.contract import QUEUES
+from worker.contract import SIMULATION_QUEUES
+from worker.delivery.addresses import check_entry
 
 ENV_PREFIX = "TOMOSIM_"
 
@@ -82,7 +83,7 @@ class Settings(BaseSettings):
     )
     worker_slots: int = Field(1, ge=1, le=64, description="cases one worker computes at a time")
     queues: str = Field(
-        "interactive,delivery,batch", description="queues that a worker serves, the first that has a message first"
+        "interactive,batch", description="queues of cases that a worker serves, the first that has a message first"
     )
     gpu: bool = Field(False, description="whether cases may ask for a worker of the gpu queues")
     threads_per_slot: int = Field(0, ge=0, le=1024, description="threads of a case; 0: cores / worker slots")
@@ -103,6 +104,15 @@ class Settings(BaseSettings):
         description="hosts, separated by commas, that webhooks may reach by http and at private addresses; of any "
         "other host only https at public addresses",
     )
+    delivery_slots: int = Field(2, ge=1, le=64, description="deliveries one delivery worker makes at a time")
+    destination_hosts: str = Field(
+        "",
+        description="which hosts may be destinations, separated by commas: names, `*.domain`, addresses, networks "
+        "(10.1.0.0/16); empty: any",
+    )
+    secrets_folder: str = Field(
+        "", description="certificates and keys of destinations; empty: secrets in the data folder"
+    )
     log_level: Literal["DEBUG", "INFO", "WARNING", "ERROR"] = "INFO"
     pipeline: str = Field(
         "simcore.pipeline:run", description="module:function that runs a case; another one for tests only"
@@ -112,14 +122,21 @@ class Settings(BaseSettings):
     @classmethod
     def _known_queues(cls, value: str) -> str:
         names = _names(value)
-        if not names or len(set(names)) < len(names) or not set(names) <= set(QUEUES):
-            raise ValueError(f"names of queues with commas between them; there are: {', '.join(QUEUES)}")
+        if not names or len(set(names)) < len(names) or not set(names) <= set(SIMULATION_QUEUES):
+            raise ValueError(f"names of queues with commas between them; there are: {', '.join(SIMULATION_QUEUES)}")
         return value
 
     @field_validator("data_folder")
     @classmethod
     def _absolute(cls, value: Path) -> Path:
         return value.expanduser().absolute()
+
+    @field_validator("destination_hosts")
+    @classmethod
+    def _hosts(cls, value: str) -> str:
+        for entry in _names(value):
+            check_entry(entry)
+        return value
 
     @model_validator(mode="after")
     def _check_admin_key(self) -> Self:
@@ -168,6 +185,18 @@ class Settings(BaseSettings):
     def store_folder(self) -> Path:
         """Where stage results lie."""
         return self.data_folder / "store"
+
+    @property
+    def allowed_destinations(self) -> list[str]:
+        """Entries of the allow-list of destinations; none: any host."""
+        return _names(self.destination_hosts)
+
+    @property
+    def resolved_secrets_folder(self) -> Path:
+        """Where certificates and keys of destinations lie."""
+        return (
+            Path(self.secrets_folder).expanduser().absolute() if self.secrets_folder else self.data_folder / "secrets"
+        )
 
     @property
     def broker_folder(self) -> Path:

@@ -17,18 +17,16 @@ from sqlalchemy.exc import SQLAlchemyError
 
 from worker import logs
 from worker.compute_process import ComputeDiedError, ComputeProcess
-from worker.contract import INTERNAL_ERROR, OUT_OF_MEMORY, TIMEOUT, State
+from worker.contract import INTERNAL_ERROR, OUT_OF_MEMORY, TIMEOUT
 from worker.jobs import Jobs, Simulation, StageProgress
 from worker.settings import Settings
 from worker.storage import open_store
+from worker.watch import Watch
 
 log = logging.getLogger(__name__)
 
 POLL_SECONDS = 0.1
 """How long a slot waits for a message before it looks at the clock and whether the worker stops."""
-
-STATE_SECONDS = 0.3
-"""How often a slot asks the database whether its case was cancelled."""
 
 WRITE_ATTEMPTS = 5
 
@@ -153,37 +151,12 @@ class Slot:
         return False
 
 
-class _Watch:
-    """Looks at the clock and the row of a running case: goes on, is cancelled, is late or belongs to another."""
+class _Watch(Watch):
+    """A watch that records progress as well."""
 
     def __init__(self, jobs: Jobs, identifier: str, owner: str, settings: Settings) -> None:
+        super().__init__(jobs, identifier, owner, settings.job_timeout_seconds)
         self.jobs = jobs
-        self.identifier = identifier
-        self.owner = owner
-        self.lease_seconds = settings.lease_seconds
-        now = time.monotonic()
-        self.deadline = now + settings.job_timeout_seconds
-        self.renewed = now
-        self.asked = now
-
-    def verdict(self) -> State | str:
-        """running, cancelling, late, or lost."""
-        now = time.monotonic()
-        if now > self.deadline:
-            return "late"
-        if now - self.asked < STATE_SECONDS:
-            return "running"
-        self.asked = now
-        try:
-            if now - self.renewed > self.lease_seconds / 3:
-                state = self.jobs.renew(self.identifier, self.owner)
-                self.renewed = now
-            else:
-                state = self.jobs.state_of(self.identifier, self.owner)
-        except SQLAlchemyError:
-            log.exception("the database does not answer")
-            return "running" if now - self.renewed < self.lease_seconds else "lost"
-        return state or "lost"
 
     def progress(self, progress: StageProgress) -> None:
         """Records progress; the next ``verdict`` says where that was refused."""

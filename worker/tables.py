@@ -1,7 +1,17 @@
 """Every file that registers tables, so that importing this one makes ``worker.database.metadata`` complete."""
 
-from worker import database, dicom_tables, idempotency, keys, studies, webhooks
+from worker import database, deliveries, destinations, dicom_tables, idempotency, keys, studies, webhooks
 
-__all__ = ["database", "dicom_tables", "idempotency", "keys", "metadata", "studies", "webhooks"]
+__all__ = [
+    "database",
+    "deliveries",
+    "destinations",
+    "dicom_tables",
+    "idempotency",
+    "keys",
+    "metadata",
+    "studies",
+    "webhooks",
+]
 
 metadata = database.metadata

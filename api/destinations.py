@@ -1,0 +1,223 @@
+"""/v1/destinations: archives and workstations that cases can be sent to. Administrators alone."""
+
+from __future__ import annotations
+
+import json
+from datetime import datetime
+from typing import Annotated, Any
+
+from fastapi import APIRouter, Depends, Header, Request, Response
+from pydantic import BaseModel, Field
+
+from api.auth import Administer, Deliver
+from api.bodies import body_of, parsed, posted
+from api.deps import Served, Services, identifier_of, read_body, services
+from api.errors import ApiError
+from api.resources import PREFIX, when
+from worker.delivery.addresses import DestinationNotAllowed, require_allowed
+from worker.destinations import Destination, DestinationRow, InUseError, NameTakenError
+from worker.leases import NotFoundError
+
+MERGE_PATCH = "application/merge-patch+json"
+
+router = APIRouter(prefix="/destinations", tags=["deliveries"])
+
+
+Identifier = Annotated[str, Depends(identifier_of("destination"))]
+
+
+class DestinationResource(Destination):
+    """A destination."""
+
+    id: str
+    revision: int = Field(description="raised with every change")
+    created_at: datetime
+    links: dict[str, str]
+
+
+class DestinationName(BaseModel):
+    """What those may see who may deliver and are no administrators."""
+
+    id: str
+    name: str
+
+
+class DestinationList(BaseModel):
+    """All destinations, by name."""
+
+    items: list[DestinationResource | DestinationName]
+
+
+class EchoResource(BaseModel):
+    """How a destination answered."""
+
+    reachable: bool = Field(description="whether it accepted the association and answered C-ECHO")
+    code: str = Field(description="'ok', or what went wrong: stable, machine-readable")
+    message: str
+    seconds: float
+    accepted: list[str] = Field(description="SOP classes of ours that it accepts")
+    refused: list[str] = Field(description="SOP classes of ours that it refuses: those series will not be stored")
+
+
+async def _new(request: Request) -> Destination:
+    new = await posted(request, Destination)
+    _check_host(new, services(request))
+    return new
+
+
+async def _changes(request: Request) -> dict[str, Any]:
+    kind = request.headers.get("content-type", "").partition(";")[0].strip().lower()
+    if kind not in (MERGE_PATCH, "application/json"):
+        raise ApiError(415, "unsupported-media-type", f"Content-Type = {kind!r}: the body must be {MERGE_PATCH}")
+    text = await read_body(request, services(request).settings.body_limit_bytes)
+    try:
+        found = json.loads(text)
+    except ValueError as error:
+        raise ApiError(422, "invalid-request", f"the body is not JSON: {error}") from None
+    if not isinstance(found, dict):
+        raise ApiError(422, "invalid-request", "the body must be an object with the fields that change")
+    return found
+
+
+@router.post("", status_code=201, openapi_extra=body_of(Destination))
+def create(
+    caller: Administer,
+    new: Annotated[Destination, Depends(_new)],
+    served: Served,
+    request: Request,
+    response: Response,
+) -> DestinationResource:
+    """Makes a destination. Nothing is sent to it; ``echo`` tests it."""
+    try:
+        row = served.destinations.create(new)
+    except NameTakenError as error:
+        raise _name_taken(error) from None
+    response.headers["Location"] = str(request.base_url).rstrip("/") + destination_path(row.id)
+    return destination_resource(row)
+
+
+@router.get("")
+def list_destinations(caller: Deliver, served: Served) -> DestinationList:
+    """All destinations; those who are no administrators see names and identifiers."""
+    rows = served.destinations.all()
+    if caller.may("admin"):
+        return DestinationList(items=[destination_resource(row) for row in rows])
+    return DestinationList(items=[DestinationName(id=row.id, name=row.definition.name) for row in rows])
+
+
+@router.get("/{identifier}")
+def get_destination(
+    caller: Administer, identifier: Identifier, served: Served, response: Response
+) -> DestinationResource:
+    """One destination."""
+    row = served.destinations.get(identifier)
+    response.headers["ETag"] = f'"{row.revision}"'
+    return destination_resource(row)
+
+
+@router.patch(
+    "/{identifier}",
+    openapi_extra={"requestBody": {"required": True, "content": {MERGE_PATCH: {"schema": {"type": "object"}}}}},
+    responses={
+        409: {"description": "name-taken, or changed meanwhile"},
+        412: {"description": "not the revision named"},
+    },
+)
+def change(
+    caller: Administer,
+    identifier: Identifier,
+    changes: Annotated[dict[str, Any], Depends(_changes)],
+    served: Served,
+    response: Response,
+    if_match: Annotated[str | None, Header()] = None,
+) -> DestinationResource:
+    """Changes fields (RFC 7396: null gives a field back its default). Deliveries under way keep the old ones."""
+    row = served.destinations.get(identifier)
+    if if_match is not None and if_match.strip() not in ("*", f'"{row.revision}"'):
+        raise ApiError(412, "changed-meanwhile", f"If-Match = {if_match[:80]}: the revision is {row.revision} now")
+    merged = _merge(row.definition.model_dump(mode="json"), changes)
+    definition = parsed(json.dumps(merged).encode(), Destination)
+    _check_host(definition, served)
+    try:
+        changed = served.destinations.replace(identifier, definition, row.revision)
+    except NameTakenError as error:
+        raise _name_taken(error) from None
+    if changed is None:
+        raise ApiError(409, "changed-meanwhile", "another change came first: read the destination again")
+    response.headers["ETag"] = f'"{changed.revision}"'
+    return destination_resource(changed)
+
+
+@router.delete("/{identifier}", status_code=204)
+def delete(caller: Administer, identifier: Identifier, served: Served) -> None:
+    """Forgets a destination; deliveries that have ended stay on record."""
+    try:
+        served.destinations.delete(identifier)
+    except InUseError as error:
+        detail = f"{error.count} deliveries to it have not ended: cancel them, or wait for their end"
+        raise ApiError(409, "destination-in-use", detail) from None
+
+
+@router.post("/{identifier}/echo")
+def echo(caller: Administer, identifier: Identifier, served: Served) -> EchoResource:
+    """Opens an association, sends C-ECHO, and says which of our SOP classes it accepts.
+
+    Many archives accept this from everybody and store only from AE titles they know.
+    """
+    from worker.delivery.echo import echo as send_echo
+
+    answer = send_echo(served.destinations.get(identifier).definition, served.settings)
+    return EchoResource(**answer)
+
+
+def find_destination(served: Services, name: str, pointer: str) -> DestinationRow:
+    """A destination by identifier or name, named in a body. raises: ApiError 422"""
+    try:
+        return served.destinations.find(name)
+    except NotFoundError:
+        known = ", ".join(row.definition.name for row in served.destinations.all()) or "none"
+        detail = f"there is no destination {name[:100]!r}; there are: {known}"
+        item = {"pointer": pointer, "value": name[:100], "detail": detail}
+        raise ApiError(422, "invalid-request", f"{pointer}: {detail}", errors=[item]) from None
+
+
+def destination_path(identifier: str) -> str:
+    return f"{PREFIX}/destinations/{identifier}"
+
+
+def destination_resource(row: DestinationRow) -> DestinationResource:
+    """The document of a destination."""
+    path = destination_path(row.id)
+    links = {"self": path, "echo": f"{path}/echo", "deliveries": f"{PREFIX}/deliveries?destination_id={row.id}"}
+    return DestinationResource(
+        **{name: getattr(row.definition, name) for name in Destination.model_fields},
+        id=row.id,
+        revision=row.revision,
+        created_at=when(row.created),
+        links=links,
+    )
+
+
+def _check_host(definition: Destination, served: Services) -> None:
+    try:
+        require_allowed(definition.host, served.settings.allowed_destinations)
+    except DestinationNotAllowed as error:
+        item = {"pointer": "/host", "value": definition.host, "detail": str(error)}
+        raise ApiError(422, "invalid-request", str(error), errors=[item], reason=error.code) from None
+
+
+def _merge(target: Any, patch: Any) -> Any:
+    """RFC 7396; a field that is taken away has its default."""
+    if not isinstance(patch, dict):
+        return patch
+    merged = dict(target) if isinstance(target, dict) else {}
+    for key, value in patch.items():
+        if value is None:
+            merged.pop(key, None)
+        else:
+            merged[key] = _merge(merged.get(key), value)
+    return merged
+
+
+def _name_taken(error: NameTakenError) -> ApiError:
+    return ApiError(409, "name-taken", f"name = {str(error)!r}: another destination has this name")

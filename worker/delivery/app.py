@@ -1,0 +1,74 @@
+"""The Celery worker of the queue ``delivery``: a process of its own, so that no archive can hold up a simulation."""
+
+from __future__ import annotations
+
+import logging
+import os
+import socket
+import threading
+from typing import Any
+
+from celery import signals
+
+from worker.contract import TASK_DELIVER
+from worker.database import connect
+from worker.deliveries import Deliveries
+from worker.delivery.sender import Sender
+from worker.messages import create_celery
+from worker.schema import prepare
+from worker.settings import Settings
+from worker.storage import open_store
+
+log = logging.getLogger(__name__)
+
+
+class DeliveryWorker:
+    """The Celery application with its one task."""
+
+    def __init__(self, settings: Settings) -> None:
+        self.settings = settings
+        self.stopping = threading.Event()
+        engine = connect(settings.resolved_database_url)
+        prepare(engine)
+        name = f"delivery-{socket.gethostname()}:{os.getpid()}"
+        deliveries = Deliveries(engine, settings.lease_seconds)
+        self.sender = Sender(name, settings, deliveries, open_store(settings), self.stopping)
+        self.celery = create_celery(settings)
+        self.celery.task(self._deliver, name=TASK_DELIVER)
+
+    def run(self) -> int:
+        """Works until SIGTERM or SIGINT; the exit code."""
+        signals.worker_ready.connect(self._ready, weak=False)
+        signals.worker_shutting_down.connect(self._shutting_down, weak=False)
+        options = [
+            "--quiet",
+            "worker",
+            "--pool=threads",
+            f"--concurrency={self.settings.delivery_slots}",
+            "--queues=delivery",
+            f"--hostname=tomosim-delivery-{os.getpid()}@%h",
+            f"--loglevel={self.settings.log_level}",
+            "--without-gossip",
+            "--without-mingle",
+            "--without-heartbeat",
+        ]
+        try:
+            self.celery.worker_main(options)
+        except SystemExit as end:
+            return end.code if isinstance(end.code, int) else int(end.code is not None)
+        finally:
+            self.stopping.set()
+        return 0
+
+    def _deliver(self, identifier: str) -> None:
+        # As in worker.app: an exception would send the message round the workers; the row is the truth.
+        try:
+            self.sender.run(identifier)
+        except Exception:
+            log.exception("task failed", extra={"delivery": identifier})
+
+    def _ready(self, **_: Any) -> None:
+        log.info("delivery worker ready", extra={"slots": self.settings.delivery_slots})
+
+    def _shutting_down(self, **_: Any) -> None:
+        self.stopping.set()
