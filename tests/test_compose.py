@@ -12,7 +12,7 @@ from worker.settings import ENV_PREFIX, Settings
 ROOT = Path(__file__).parent.parent
 COMPOSE = yaml.safe_load((ROOT / "docker-compose.yml").read_text())
 SERVICES = COMPOSE["services"]
-OURS = ("api", "worker")
+OURS = ("api", "worker", "delivery")
 
 # Of the compose specification; a word that is not here is a typing mistake.
 SERVICE_KEYS = {
@@ -31,7 +31,7 @@ def substituted(text: str) -> str:
 
 def test_top_level():
     assert {k for k in COMPOSE if not k.startswith("x-")} == {"name", "services", "networks", "volumes"}
-    assert set(SERVICES) == {"api", "worker", "redis", "postgres"}
+    assert set(SERVICES) == {"api", "worker", "delivery", "redis", "postgres"}
 
 
 @pytest.mark.parametrize("name", SERVICES)
@@ -86,8 +86,8 @@ def test_environment_is_known_and_valid(name, monkeypatch):
 
 def test_api_and_worker_share_what_they_must():
     for key in ("TOMOSIM_DATABASE_URL", "TOMOSIM_BROKER_URL", "TOMOSIM_DATA_FOLDER", "TOMOSIM_MEMORY_LIMIT_BYTES"):
-        assert SERVICES["api"]["environment"][key] == SERVICES["worker"]["environment"][key]
-    assert SERVICES["api"]["volumes"] == SERVICES["worker"]["volumes"]
+        assert len({SERVICES[name]["environment"][key] for name in OURS}) == 1
+    assert all(SERVICES[name]["volumes"] == SERVICES["api"]["volumes"] for name in OURS)
 
 
 @pytest.mark.parametrize(

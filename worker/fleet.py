@@ -16,6 +16,10 @@ SILENT_SECONDS = 15.0
 """A worker that was silent for longer counts as gone."""
 
 
+DELIVERY_PREFIX = "delivery@"
+"""How names of workers begin that deliver."""
+
+
 class Fleet:
     """Repository of workers and counts."""
 
@@ -40,11 +44,16 @@ class Fleet:
         with self.engine.begin() as connection:
             connection.execute(workers.delete().where(workers.c.seen < self.clock() - silent_seconds))
 
-    def alive(self, within_seconds: float = SILENT_SECONDS, host: str | None = None) -> int:
-        """How many workers (of a machine) said within these seconds that they are alive."""
+    def alive(self, within_seconds: float = SILENT_SECONDS, host: str | None = None, *, delivery: bool = False) -> int:
+        """How many workers (of a machine) said within these seconds that they are alive.
+
+        delivery: those that deliver instead of those that simulate.
+        """
+        prefix = DELIVERY_PREFIX if delivery else ""
         query = sa.select(sa.func.count()).where(workers.c.seen > self.clock() - within_seconds)
+        query = query.where(workers.c.name.startswith(DELIVERY_PREFIX, autoescape=True) == delivery)
         if host is not None:
-            query = query.where(workers.c.name.startswith(f"{host}:", autoescape=True))
+            query = query.where(workers.c.name.startswith(f"{prefix}{host}:", autoescape=True))
         with reading(self.engine) as connection:
             return connection.scalar(query) or 0
 

@@ -1,4 +1,5 @@
-"""``python -m worker.health``: whether a worker of this machine was heard of lately (a container's health check)."""
+"""``python -m worker.health [delivery]``: whether a worker of this machine (that simulates, or delivers) was heard of
+lately; a container's health check."""
 
 from __future__ import annotations
 
@@ -15,7 +16,7 @@ def main() -> int:
     settings = Settings.load()
     engine = connect(settings.resolved_database_url)
     try:
-        alive = Fleet(engine).alive(host=socket.gethostname())
+        alive = Fleet(engine).alive(host=socket.gethostname(), delivery=sys.argv[1:] == ["delivery"])
     finally:
         engine.dispose()
     if not alive:

@@ -9,11 +9,13 @@ import threading
 from typing import Any
 
 from celery import signals
+from sqlalchemy.exc import SQLAlchemyError
 
 from worker.contract import TASK_DELIVER
 from worker.database import connect
 from worker.deliveries import Deliveries
 from worker.delivery.sender import Sender
+from worker.fleet import BEAT_SECONDS, DELIVERY_PREFIX, Fleet
 from worker.messages import create_celery
 from worker.schema import prepare
 from worker.settings import Settings
@@ -30,9 +32,11 @@ class DeliveryWorker:
         self.stopping = threading.Event()
         engine = connect(settings.resolved_database_url)
         prepare(engine)
-        name = f"delivery-{socket.gethostname()}:{os.getpid()}"
+        self.name = f"{DELIVERY_PREFIX}{socket.gethostname()}:{os.getpid()}"
+        self.fleet = Fleet(engine)
+        self._heart = threading.Thread(target=self._beat, name="heartbeat", daemon=True)
         deliveries = Deliveries(engine, settings.lease_seconds)
-        self.sender = Sender(name, settings, deliveries, open_store(settings), self.stopping)
+        self.sender = Sender(self.name, settings, deliveries, open_store(settings), self.stopping)
         self.celery = create_celery(settings)
         self.celery.task(self._deliver, name=TASK_DELIVER)
 
@@ -58,6 +62,10 @@ class DeliveryWorker:
             return end.code if isinstance(end.code, int) else int(end.code is not None)
         finally:
             self.stopping.set()
+            try:
+                self.fleet.gone(self.name)
+            except SQLAlchemyError:
+                log.exception("the end of this worker was not recorded")
         return 0
 
     def _deliver(self, identifier: str) -> None:
@@ -68,7 +76,17 @@ class DeliveryWorker:
             log.exception("task failed", extra={"delivery": identifier})
 
     def _ready(self, **_: Any) -> None:
+        self._heart.start()
         log.info("delivery worker ready", extra={"slots": self.settings.delivery_slots})
 
     def _shutting_down(self, **_: Any) -> None:
         self.stopping.set()
+
+    def _beat(self) -> None:
+        while True:
+            try:
+                self.fleet.beat(self.name, self.settings.delivery_slots)
+            except SQLAlchemyError:
+                log.exception("heartbeat not recorded")
+            if self.stopping.wait(BEAT_SECONDS):
+                return
