@@ -27,6 +27,7 @@ from api.auth import authenticate
 from api.automatic import posted_simulation_schema
 from api.deps import Services
 from api.dicomweb import routes as dicomweb
+from api.dicomweb.cors import ViewerOrigins
 from api.guard import Guard
 from api.requests import Requests
 from api.resources import PREFIX
@@ -81,6 +82,8 @@ def create_app(settings: Settings | None = None, messenger: Messenger | None = N
     )
     errors.install(app)
     app.add_middleware(Guard)
+    if chosen.viewer_origins:
+        app.add_middleware(ViewerOrigins, origins=chosen.viewer_origins)
     app.add_middleware(Requests)
     for module in (simulations, events, artifacts, studies, phantoms, destinations, deliveries, webhooks, catalog):
         app.include_router(module.router, prefix=PREFIX, dependencies=[Depends(authenticate)])

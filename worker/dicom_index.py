@@ -110,12 +110,12 @@ class DicomIndex:
         self.engine = engine
 
     def missing(self) -> list[tuple[str, Json]]:
-        """(identifier, manifest) of the newest case that succeeded and is not in the index; empty where all are."""
+        """(identifier, manifest) of the oldest case that succeeded and is not in the index; empty where all are."""
         known = sa.select(indexed.c.simulation_id)
         query = (
             sa.select(simulations.c.id, simulations.c.manifest)
             .where(simulations.c.state == "succeeded", simulations.c.id.not_in(known))
-            .order_by(simulations.c.created.desc())
+            .order_by(simulations.c.created)
             .limit(1)
         )
         with reading(self.engine) as connection:

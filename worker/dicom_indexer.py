@@ -65,7 +65,7 @@ class Indexer:
         self._thread.join(10.0)
 
     def catch_up(self) -> None:
-        """Puts every case that succeeded into the index, the newest first."""
+        """Puts every case that succeeded into the index, the oldest first: what came last is shown first."""
         if not self.index.missing() or not self._filling.acquire(timeout=WAIT_SECONDS):
             return
         try:

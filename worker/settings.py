@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import ipaddress
 import os
+import re
 import tempfile
 from functools import cached_property
 from pathlib import Path
@@ -95,6 +96,11 @@ class Settings(BaseSettings):
     lease_seconds: float = Field(30.0, gt=0, description="a worker silent for longer has lost its case [s]")
     resend_seconds: float = Field(30.0, gt=0, description="a queued case without a message is sent again after [s]")
     sweep_seconds: float = Field(2.0, gt=0, description="interval of the sweep for lost cases [s]")
+    cors_origins: str = Field(
+        "",
+        description="origins of pages that may read /dicomweb (viewers), separated by commas: "
+        "https://viewer.example.org; empty: none",
+    )
     body_limit_bytes: int = Field(1_000_000, gt=0, description="largest body of a request [byte]")
     study_case_limit: int = Field(2000, ge=1, le=100_000, description="largest number of cases of a study")
     idempotency_seconds: float = Field(24 * HOUR, gt=0, description="an Idempotency-Key is remembered for [s]")
@@ -180,6 +186,22 @@ class Settings(BaseSettings):
         if self.admin_key_file:
             return Path(self.admin_key_file).read_text().strip()
         return self.admin_key.get_secret_value()
+
+    @field_validator("cors_origins")
+    @classmethod
+    def _only_origins(cls, value: str) -> str:
+        for origin in _listed(value):
+            if not re.fullmatch(r"https?://(\[[0-9a-fA-F:.]+\]|[A-Za-z0-9.-]+)(:[0-9]{1,5})?", origin):
+                raise ValueError(
+                    f"{origin!r} is no origin: scheme, host and port alone are allowed, as in "
+                    "https://viewer.example.org or http://localhost:3000"
+                )
+        return value
+
+    @property
+    def viewer_origins(self) -> list[str]:
+        """The pages that may read /dicomweb."""
+        return _listed(self.cors_origins)
 
     @property
     def store_folder(self) -> Path:
@@ -272,6 +294,10 @@ def _from_files() -> dict[str, str]:
             except (OSError, UnicodeDecodeError) as error:
                 raise SettingsError(f"{variable}_FILE = {path!r} cannot be read: {error}") from None
     return found
+
+
+def _listed(value: str) -> list[str]:
+    return [part.strip() for part in value.split(",") if part.strip()]
 
 
 def is_loopback(host: str) -> bool:

@@ -141,6 +141,13 @@ def case(add_case: Callable[..., Case], exported: Callable[..., Path]) -> Case:
     return add_case(exported(), "small")
 
 
+@pytest.fixture(scope="module", params=["none", "jpeg-ls"])
+def full_case(request: pytest.FixtureRequest, add_case: Callable[..., Case], exported: Callable[..., Path]) -> Case:
+    """Every kind of object; labels are RLE in both."""
+    extras = ["presentation", "synthetic-2d", "ct", "attenuation", "report"]
+    return add_case(exported(seed=2, lesions=True, extras=extras, encoding=request.param), f"full {request.param}")
+
+
 @pytest.fixture(scope="module")
 def address(client: TestClient) -> Iterator[str]:
     """The same application on a free loopback port."""
