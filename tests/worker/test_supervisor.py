@@ -156,7 +156,7 @@ def test_a_cancelled_case_is_not_tried_again_after_a_crash(slot, jobs, monkeypat
     thread = run_in_thread(slot, identifier)
     running(jobs, identifier)
     # The crash is noticed before the cancellation.
-    monkeypatch.setattr("worker.supervisor.STATE_SECONDS", 3600)
+    monkeypatch.setattr("worker.watch.STATE_SECONDS", 3600)
     jobs.cancel(identifier)
     os.kill(slot.warm_up().pid, signal.SIGSEGV)
     thread.join(PATIENCE_SECONDS)

@@ -88,6 +88,7 @@ class _Socket(AssociationSocket):
 
     socket: Any
     failure: Exception | None = None
+    connected = False
     stalled = False
     stall_seconds: float = 60.0
     throttle = Throttle(None)
@@ -104,7 +105,7 @@ class _Socket(AssociationSocket):
             self.socket.settimeout(self.stall_seconds)
             self.socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
             self.assoc.requestor.address_info = AddressInformation.from_tuple(self.socket.getsockname())
-            self._is_connected = True
+            self._is_connected = self.connected = True
             primitive.result = "Evt2"
         except (OSError, ValueError) as error:
             self.failure = error
@@ -388,7 +389,7 @@ def _why_not(
     destination: Destination, where: str, association: Association, used: _Socket, waited: float
 ) -> AssociationError:
     """The reason and the advice for an association that did not come about."""
-    failure = used.failure
+    failure = None if used.connected else used.failure
     if isinstance(failure, ssl.SSLCertVerificationError):
         text = f"the certificate of {where} is not valid ({failure.verify_message}): correct tls.ca_file or server_name"
         return AssociationError("tls-certificate", text, again=False)

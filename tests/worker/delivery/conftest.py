@@ -212,8 +212,9 @@ def storescp(tmp_path):
         folder = tmp_path / f"storescp{number}"
         folder.mkdir(exist_ok=True)
         log = tmp_path / f"storescp{number}.log"
-        # -uf: files are named after their UID. +xa is not given: uncompressed syntaxes alone.
-        command = ["storescp", "-v", "-aet", "PEER", "-od", str(folder), "-pm", *options, str(port)]
+        # Uncompressed transfer syntaxes alone, unless told otherwise.
+        classes = [] if "-xf" in options else ["-pm"]
+        command = ["storescp", "-v", "-aet", "PEER", "-od", str(folder), *classes, *options, str(port)]
         context = program(command, log, lambda: listens(port))
         running.append(context)
         return StoreScp(port, folder, context.__enter__(), log)
