@@ -17,8 +17,10 @@ from api import (
     errors,
     events,
     health,
+    metrics,
     page,
     phantoms,
+    reference,
     simulations,
     studies,
     webhooks,
@@ -74,6 +76,7 @@ def create_app(settings: Settings | None = None, messenger: Messenger | None = N
         version=__version__,
         description=DESCRIPTION,
         lifespan=lifespan,
+        docs_url=None,
         redoc_url=None,
         redirect_slashes=False,
         responses={
@@ -89,7 +92,9 @@ def create_app(settings: Settings | None = None, messenger: Messenger | None = N
         app.include_router(module.router, prefix=PREFIX, dependencies=[Depends(authenticate)])
     app.include_router(dicomweb.router)
     app.include_router(health.router)
+    app.include_router(metrics.router)
     app.include_router(page.router)
+    app.include_router(reference.router)
     _describe_specification(app)
     return app
 

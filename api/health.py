@@ -1,18 +1,15 @@
-"""/livez, /readyz, /metrics: for those who run the service."""
+"""/livez, /readyz: for those who run the service."""
 
 from __future__ import annotations
 
 import logging
-import shutil
 from collections.abc import Callable
 
 from fastapi import APIRouter
-from fastapi.responses import JSONResponse, PlainTextResponse
+from fastapi.responses import JSONResponse
 
-from api.auth import Read
 from api.deps import Served, Services
 from api.errors import ApiError
-from worker.contract import STATES
 
 log = logging.getLogger(__name__)
 
@@ -44,27 +41,6 @@ def readyz(served: Served) -> JSONResponse:
             checks={name: wrong.get(name, "ok") for name in checks},
         )
     return JSONResponse({"status": "ok", "checks": dict.fromkeys(checks, "ok")})
-
-
-@router.get("/metrics")
-def metrics(caller: Read, served: Served) -> PlainTextResponse:
-    """Counts in the text format of Prometheus."""
-    counts = served.fleet.counts()
-    lines = [
-        "# HELP tomosim_simulations Simulations by state.",
-        "# TYPE tomosim_simulations gauge",
-        *(f'tomosim_simulations{{state="{state}"}} {counts.get(state, 0)}' for state in STATES),
-        "# HELP tomosim_queue_age_seconds Age of the oldest queued simulation.",
-        "# TYPE tomosim_queue_age_seconds gauge",
-        f"tomosim_queue_age_seconds {served.fleet.queue_age():.3f}",
-        "# HELP tomosim_workers Workers heard of lately.",
-        "# TYPE tomosim_workers gauge",
-        f"tomosim_workers {served.fleet.alive()}",
-        "# HELP tomosim_free_bytes Free space on the disk of the store.",
-        "# TYPE tomosim_free_bytes gauge",
-        f"tomosim_free_bytes {shutil.disk_usage(served.store.root).free}",
-    ]
-    return PlainTextResponse("\n".join(lines) + "\n", media_type="text/plain; version=0.0.4; charset=utf-8")
 
 
 def _problem(check: Callable[[Services], None], served: Services) -> str | None:

@@ -20,6 +20,7 @@ from sqlalchemy.exc import SQLAlchemyError
 from worker import broker, processes, schema
 from worker.database import connect
 from worker.fleet import Fleet
+from worker.jobs import Jobs
 from worker.settings import Settings
 
 START_SECONDS = 60.0
@@ -104,7 +105,7 @@ class Service:
         """Cases by state."""
         assert self._fleet is not None
         try:
-            return self._fleet.counts()
+            return Jobs(self._fleet.engine).counts()
         except SQLAlchemyError as error:
             return {f"unknown: {error}": 1}
 

@@ -15,7 +15,7 @@ from typing import Any, ClassVar, Literal
 
 import sqlalchemy as sa
 
-from worker import webhooks
+from worker import counters, webhooks
 from worker.contract import ACTIVE_STATES, EVENT_PROGRESS, EVENT_STATE, FINAL_STATES, STATES, Queue, State
 from worker.database import metadata, reading
 from worker.delivery.outcomes import Outcome
@@ -373,6 +373,7 @@ class Deliveries(Leases[Delivery]):
     def _ended(self, connection: sa.Connection, identifier: str) -> None:
         row = self._one(connection, identifier)
         webhooks.announce(connection, self.clock(), "delivery.finished", lambda: _finished(row))
+        counters.add(connection, {(counters.DELIVERIES_ENDED, row.state): 1.0})
 
     # What the sweep does
 

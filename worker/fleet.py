@@ -62,15 +62,11 @@ class Fleet:
         with reading(self.engine) as connection:
             connection.execute(sa.select(simulations.c.id).limit(1))
 
-    def counts(self) -> dict[str, int]:
-        """Number of simulations by state."""
-        query = sa.select(simulations.c.state, sa.func.count()).group_by(simulations.c.state)
+    def queues(self) -> dict[str, tuple[int, float]]:
+        """How many simulations wait in a queue, and the seconds for which the oldest of them has been there."""
+        c = simulations.c
+        query = sa.select(c.queue, sa.func.count(), sa.func.min(c.created)).where(c.state == "queued").group_by(c.queue)
+        now = self.clock()
         with reading(self.engine) as connection:
-            return {str(state): int(number) for state, number in connection.execute(query)}
-
-    def queue_age(self) -> float:
-        """Seconds for which the oldest queued simulation has been there; 0 where none is queued."""
-        query = sa.select(sa.func.min(simulations.c.created)).where(simulations.c.state == "queued")
-        with reading(self.engine) as connection:
-            oldest = connection.scalar(query)
-        return 0.0 if oldest is None else max(0.0, self.clock() - oldest)
+            rows = connection.execute(query).all()
+        return {str(queue): (int(number), max(0.0, now - oldest)) for queue, number, oldest in rows}

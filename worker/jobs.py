@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import uuid
+from collections import defaultdict
 from dataclasses import dataclass, fields
 from typing import Any, ClassVar, cast
 
 import sqlalchemy as sa
 
-from worker import quotas, webhooks
+from worker import counters, quotas, webhooks
 from worker.contract import DEFAULT_QUEUE, EVENT_PROGRESS, EVENT_STATE, Queue, State, WebhookEvent
 from worker.database import events, reading, simulations
 from worker.deliveries import Deliveries
@@ -147,6 +148,11 @@ class Jobs(Leases[Simulation]):
             self._deliver(connection, identifier)
         event = cast(WebhookEvent, f"simulation.{row.state}")
         webhooks.announce(connection, self.clock(), event, lambda: _told(row))
+        counts: dict[tuple[str, str], float] = {(counters.ENDED, row.state): 1.0}
+        if row.state == "succeeded":
+            manifest = connection.scalar(sa.select(simulations.c.manifest).where(simulations.c.id == identifier))
+            counts |= _stage_counts(manifest or {})
+        counters.add(connection, counts)
 
     def _deliver(self, connection: sa.Connection, identifier: str) -> None:
         """The deliveries that were asked for with the simulation begin with its success."""
@@ -163,6 +169,19 @@ class Jobs(Leases[Simulation]):
         if row is None:
             raise NotFoundError(identifier)
         return row[0]
+
+
+def _stage_counts(manifest: Json) -> dict[tuple[str, str], float]:
+    """What the stages of a case that succeeded add to the counters."""
+    counts: defaultdict[tuple[str, str], float] = defaultdict(float)
+    for stage in manifest.get("stages", ()):
+        name = str(stage.get("name"))[:64]
+        if stage.get("cached"):
+            counts[counters.STAGES_CACHED, name] += 1
+        else:
+            counts[counters.STAGES_COMPUTED, name] += 1
+            counts[counters.STAGE_SECONDS, name] += stage.get("seconds", 0.0)
+    return counts
 
 
 def _told(row: Simulation) -> Json:

@@ -112,6 +112,12 @@ class Leases(Generic[Row]):
         with reading(self.engine) as connection:
             return [Event(*row) for row in connection.execute(query)]
 
+    def counts(self) -> dict[str, int]:
+        """Number of rows by state."""
+        query = sa.select(self.table.c.state, sa.func.count()).group_by(self.table.c.state)
+        with reading(self.engine) as connection:
+            return {str(state): int(number) for state, number in connection.execute(query)}
+
     def cancel(self, identifier: str) -> Row:
         """A queued row is cancelled at once, a running one when its worker has seen it.
 

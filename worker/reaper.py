@@ -8,6 +8,7 @@ from __future__ import annotations
 import logging
 import threading
 
+from worker import counters
 from worker.contract import SIMULATION_QUEUES, Queue
 from worker.deliveries import Deliveries, Delivery
 from worker.fleet import Fleet
@@ -63,6 +64,8 @@ class Reaper:
     def _revive(self, leases: Jobs | Deliveries) -> None:
         for identifier in leases.take_back(self.settings.max_attempts):
             log.warning("lease ran out", extra={leases.what: identifier})
+            with leases.engine.begin() as connection:
+                counters.add(connection, {(counters.LEASE_EXPIRIES, leases.what): 1.0})
         for row in leases.unsent():
             self._send(leases, row)
 

@@ -7,7 +7,6 @@ import ipaddress
 import os
 import re
 import tempfile
-from functools import cached_property
 from pathlib import Path
 from typing import Literal, Self
 
@@ -31,7 +30,7 @@ HOUR = 3600.0
 MIN_SECRET_LENGTH = 32
 
 
-SECRETS = ("database_url", "database_password", "broker_url", "store_access_key", "store_secret_key")
+SECRETS = ("admin_key", "database_url", "database_password", "broker_url", "store_access_key", "store_secret_key")
 """Settings that may lie in a file, named by the variable with _FILE at its end."""
 
 
@@ -61,7 +60,6 @@ class Settings(BaseSettings):
     admin_key: SecretStr = Field(
         SecretStr(""), description="an API key that may do everything, of at least 32 characters; empty: none"
     )
-    admin_key_file: str = Field("", description="a file that holds this key instead")
     store_url: str = Field(
         "", description="s3://bucket/prefix: the stage store of several machines; empty: a folder in the data folder"
     )
@@ -144,19 +142,14 @@ class Settings(BaseSettings):
             check_entry(entry)
         return value
 
-    @model_validator(mode="after")
-    def _check_admin_key(self) -> Self:
-        try:
-            length = len(self.admin_secret)
-        except (OSError, UnicodeDecodeError) as error:
-            raise ValueError(f"TOMOSIM_ADMIN_KEY_FILE = {self.admin_key_file!r} cannot be read: {error}") from None
-        if length < MIN_SECRET_LENGTH and (self.admin_key_file or length):
-            name = "TOMOSIM_ADMIN_KEY" + "_FILE" * bool(self.admin_key_file)
+    @field_validator("admin_key")
+    @classmethod
+    def _long_enough(cls, value: SecretStr) -> SecretStr:
+        if 0 < len(value) < MIN_SECRET_LENGTH:
             raise ValueError(
-                f"{name}: the key has {length} characters, at least {MIN_SECRET_LENGTH} are needed; "
-                "'openssl rand -hex 32' makes one"
+                f"{len(value)} characters; at least {MIN_SECRET_LENGTH} ('openssl rand -hex 32' makes one)"
             )
-        return self
+        return value
 
     @model_validator(mode="after")
     def _check_store(self) -> Self:
@@ -180,11 +173,9 @@ class Settings(BaseSettings):
         except ValidationError as error:
             raise SettingsError("; ".join(_problem(item) for item in error.errors())) from None
 
-    @cached_property
+    @property
     def admin_secret(self) -> str:
         """The administrator's key of the settings; empty: none."""
-        if self.admin_key_file:
-            return Path(self.admin_key_file).read_text().strip()
         return self.admin_key.get_secret_value()
 
     @field_validator("cors_origins")
@@ -319,4 +310,6 @@ def _problem(item: object) -> str:
     if not item["loc"]:
         return str(item["msg"]).removeprefix("Value error, ")
     name = ENV_PREFIX + str(item["loc"][0]).upper()
+    if item["loc"][0] in SECRETS:
+        return f"{name}: {item['msg']}"
     return f"{name} = {item['input']!r}: {item['msg']}"

@@ -1,8 +1,9 @@
 """Every file that registers tables, so that importing this one makes ``worker.database.metadata`` complete."""
 
-from worker import database, deliveries, destinations, dicom_tables, idempotency, keys, studies, webhooks
+from worker import counters, database, deliveries, destinations, dicom_tables, idempotency, keys, studies, webhooks
 
 __all__ = [
+    "counters",
     "database",
     "deliveries",
     "destinations",

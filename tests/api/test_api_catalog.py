@@ -75,15 +75,6 @@ def test_readyz(client, served, broker, is_problem):
     assert "GB free" in is_problem(client.get("/readyz"), 503, "not-ready")["checks"]["storage"]
 
 
-def test_metrics(client, post, done):
-    post()
-    text = client.get("/metrics").text
-    assert 'tomosim_simulations{state="queued"} 1' in text
-    assert 'tomosim_simulations{state="succeeded"} 1' in text
-    assert re.search(r"^tomosim_queue_age_seconds \d", text, re.MULTILINE)
-    assert re.search(r"^tomosim_free_bytes \d+$", text, re.MULTILINE)
-
-
 def test_page(client):
     response = client.get("/")
     assert response.headers["content-type"].startswith("text/html")
@@ -94,6 +85,20 @@ def test_page(client):
         body = re.search(rf"<{tag}>(.*?)</{tag}>", response.text, re.DOTALL).group(1)
         assert base64.b64encode(hashlib.sha256(body.encode()).digest()).decode() in policy
     assert "innerHTML" not in response.text
+
+
+def test_the_reference_works_without_a_network(client):
+    response = client.get("/docs")
+    assert response.headers["content-type"].startswith("text/html")
+    assert "script" not in response.text
+    assert not re.search(r"(src|href)=\"(https?:)?//", response.text)
+    style = re.search(r"<style>(.*?)</style>", response.text, re.DOTALL).group(1)
+    policy = response.headers["content-security-policy"]
+    assert base64.b64encode(hashlib.sha256(style.encode()).digest()).decode() in policy
+    description = client.get("/openapi.json").json()
+    for path, operations in description["paths"].items():
+        for method in operations:
+            assert f'<span class="method">{method.upper()}</span> <code>{path}</code>' in response.text
 
 
 @pytest.mark.parametrize("path", ["/v1/presets", "/v1/schemas", "/v1/service-info", "/livez", "/metrics", "/"])

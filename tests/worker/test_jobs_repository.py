@@ -233,5 +233,5 @@ def test_fleet(engine, jobs, queued, clock):
     assert fleet.alive() == 0
     fleet.forget(30)
     assert fleet.alive(1e9) == 0
-    assert fleet.counts() == {"queued": 1}
-    assert fleet.queue_age() == 60
+    assert jobs.counts() == {"queued": 1}
+    assert fleet.queues()["interactive"][1] == 60
