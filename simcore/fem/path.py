@@ -23,6 +23,9 @@ FORCE_TOLERANCE = 1e-3
 FIRST_FORCE_STEP = 10.0
 """Percent, the first step towards a force."""
 _MAX_FORCE_STEPS = 60
+LOCKED = 30.0
+"""Pressure of the plates on the outline of the breast, relative to Young's modulus of the stiffest tissue, that no
+law is meant for. At 70 % neo-Hookean tissue gives 0.4."""
 
 
 @dataclass(frozen=True)
@@ -148,6 +151,7 @@ class _Path:
         limit = self.target.force_limit
         if limit is not None and max(step.force_lower, step.force_upper) > limit:
             raise self._failed("force-limit", limit=limit)
+        self._refuse_locking(state, step)
         self.state = state
         self.steps.append(step)
 
@@ -163,6 +167,15 @@ class _Path:
             stretch = self._least_stretch(state)
             if stretch < ST_VENANT_KIRCHHOFF_STRETCH:
                 raise self._failed("unstable-material", stretch=stretch)
+
+    def _refuse_locking(self, state: State, step: LoadStep) -> None:
+        """The laws are fitted to moderate strains; an exponential one gives any force where an element is squeezed
+        against a fixed wall."""
+        after = self.solver.model.nodes + state.displacement
+        footprint = float(np.ptp(after[:, 0]) * np.ptp(after[:, 1]))
+        stiffest = 3 * float(self.solver.model.laws.shear.max())
+        if step.force > LOCKED * stiffest * footprint:
+            raise self._failed("locked-tissue", pressure=step.force / footprint / stiffest, limit=LOCKED)
 
     def _least_stretch(self, state: State) -> float:
         model = self.solver.model

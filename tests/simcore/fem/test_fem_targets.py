@@ -14,6 +14,7 @@ from simcore.core.artifacts import Compression, Phantom, TetMesh
 from simcore.core.errors import SolverError
 from simcore.core.grid import Grid
 from simcore.fem import CompressionSpec, compress
+from simcore.fem.materials.veronda_westmann import VerondaWestmann
 from simcore.fem.materials.wellman import Wellman
 from simcore.fem.outcome import ADVICE, CompressionFailed
 from simcore.fem.summary import shape_summary
@@ -130,6 +131,16 @@ def test_a_fixed_wall_keeps_its_place_and_stiffens() -> None:
     assert held.report["min_det_F"] > 0
     # Less area under the plates near the wall against more constraint.
     assert 0.5 * free.force_N < held.force_N < 2 * free.force_N
+
+
+def test_tissue_crushed_against_a_fixed_wall_is_refused() -> None:
+    material = VerondaWestmann(youngs_modulus_kPa=20.0, exponent=2.0)
+    spec = CompressionSpec(percent=65.0, material=material, chest_wall="fixed")
+    with pytest.raises(CompressionFailed, match="free chest_wall") as error:
+        compress(half_ellipsoid(C_CUP, 8), ANY_PHANTOM, spec)
+    assert error.value.code == "locked-tissue"
+    assert 30 < error.value.percent < 60
+    assert error.value.force_N > 0
 
 
 def test_strain_summary_of_a_block() -> None:
