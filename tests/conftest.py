@@ -1,4 +1,8 @@
-"""Servers that tests of several folders start: PostgreSQL, S3. All on loopback, all ended with the run."""
+"""Servers that tests of several folders start: PostgreSQL, redis-server, S3. All on loopback, all ended with the run.
+
+Tests of the service run on SQLite, a folder and the embedded broker; with ``--production`` those that can tell the
+difference run again on PostgreSQL, S3 and redis-server.
+"""
 
 import os
 import shutil
@@ -14,7 +18,73 @@ import pytest
 import sqlalchemy as sa
 
 from simcore.core.bucket import Location
-from worker.database import connect
+from worker.database import connect, create_tables
+
+def pytest_addoption(parser: pytest.Parser) -> None:
+    parser.addoption("--production", action="store_true", help="on PostgreSQL, S3 and redis-server, what uses them")
+
+
+def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
+    if not config.getoption("--production"):
+        return
+    chosen = [i for i in items if "backend" in i.fixturenames and not i.get_closest_marker("embedded")]  # type: ignore[attr-defined]
+    config.hook.pytest_deselected(items=[i for i in items if i not in chosen])
+    items[:] = chosen
+
+
+@pytest.fixture
+def backend(request: pytest.FixtureRequest) -> dict[str, object]:
+    """Settings of database, store and broker for one test: none, or with ``--production`` fresh ones."""
+    if not request.config.getoption("--production"):
+        return {}
+    request.getfixturevalue("empty_postgres")()
+    url = request.getfixturevalue("postgres_url")
+    engine = connect(url)
+    create_tables(engine)
+    engine.dispose()
+    location = request.getfixturevalue("make_location")()
+    return {
+        "database_url": url,
+        "broker_url": request.getfixturevalue("redis_url"),
+        "store_url": location.url,
+        "store_endpoint": location.endpoint,
+        "store_access_key": location.access_key,
+        "store_secret_key": location.secret_key,
+    }
+
+
+@pytest.fixture(scope="session")
+def redis_server() -> Iterator[str]:
+    """URL of a redis-server of our own; skipped where the program is not installed."""
+    program = shutil.which("redis-server")
+    if program is None:
+        pytest.skip("needs the Debian package redis-server")
+    folder = Path(tempfile.mkdtemp(prefix="redis"))
+    socket = folder / "socket"
+    command = [program, "--port", "0", "--unixsocket", str(socket), "--dir", str(folder), "--save", ""]
+    server = subprocess.Popen(command, stdout=subprocess.DEVNULL)
+    try:
+        for _ in range(100):
+            if socket.exists():
+                break
+            assert server.poll() is None
+            time.sleep(0.1)
+        yield str(socket)
+    finally:
+        server.terminate()
+        server.wait(20)
+        shutil.rmtree(folder, ignore_errors=True)
+
+
+@pytest.fixture
+def redis_url(redis_server: str) -> str:
+    """An empty broker."""
+    import redis
+
+    with redis.Redis(unix_socket_path=redis_server) as client:
+        client.flushall()
+    return f"redis+socket://{redis_server}?virtual_host=0"
+
 
 S3_KEYS = {"access_key": "test-key", "secret_key": "test-secret"}
 

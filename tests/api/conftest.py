@@ -43,10 +43,10 @@ def broker() -> FakeBroker:
 
 
 @pytest.fixture
-def settings(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Settings:
+def settings(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, backend: dict[str, object]) -> Settings:
     for name in [n for n in os.environ if n.startswith("TOMOSIM_")]:
         monkeypatch.delenv(name)
-    return Settings.load(data_folder=tmp_path / "data", memory_limit_bytes=8_000_000_000)
+    return Settings.load(data_folder=tmp_path / "data", memory_limit_bytes=8_000_000_000, **backend)
 
 
 @pytest.fixture

@@ -55,7 +55,9 @@ def free_port() -> int:
 
 
 @pytest.fixture
-def make_settings(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[..., Settings]:
+def make_settings(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, backend: dict[str, object]
+) -> Callable[..., Settings]:
     """Settings on a fresh data folder, with the fake pipeline."""
     for name in [n for n in os.environ if n.startswith("TOMOSIM_")]:
         monkeypatch.delenv(name)
@@ -63,6 +65,6 @@ def make_settings(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[.
 
     def make(**changes: object) -> Settings:
         given = {"data_folder": tmp_path / "data", "pipeline": "fake_pipeline:run", "memory_limit_bytes": 3_000_000_000}
-        return Settings.load(**{**given, **changes})
+        return Settings.load(**{**given, **backend, **changes})
 
     return make
