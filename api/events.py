@@ -19,7 +19,10 @@ from api.resources import simulation_path
 from worker.contract import EVENT_STATE, FINAL_STATES
 from worker.leases import Event, Leases
 
-POLL_SECONDS = 0.3
+FIRST_POLL_SECONDS = 0.1
+LONGEST_POLL_SECONDS = 0.5
+"""The database is asked less often the longer nothing happens."""
+
 HEARTBEAT_SECONDS = 15.0
 RECONNECT_MILLISECONDS = 2000
 
@@ -60,10 +63,12 @@ async def stream(leases: Leases[Any], identifier: str, sequence: int, path: str)
     """The events of a row after ``sequence`` until its end; the final one names its ``path``."""
     yield f"retry: {RECONNECT_MILLISECONDS}\n\n"
     spoke = time.monotonic()
+    pause = FIRST_POLL_SECONDS
     while True:
         for event in await run_in_threadpool(leases.events_after, identifier, sequence):
             sequence = event.sequence
             spoke = time.monotonic()
+            pause = FIRST_POLL_SECONDS
             yield _format(event, leases.what, path)
         # The row says when there is nothing more to come: a retried case goes on after a final event, and a client
         # that has seen the last event must not wait for another.
@@ -72,7 +77,8 @@ async def stream(leases: Leases[Any], identifier: str, sequence: int, path: str)
         if time.monotonic() - spoke > HEARTBEAT_SECONDS:
             spoke = time.monotonic()
             yield ": still here\n\n"
-        await anyio.sleep(POLL_SECONDS)
+        await anyio.sleep(pause)
+        pause = min(LONGEST_POLL_SECONDS, 1.2 * pause)
 
 
 def _ended(leases: Leases[Any], identifier: str, sequence: int) -> bool:

@@ -22,6 +22,9 @@ from worker.quotas import Submitter
 UNKNOWN = Submitter("local")
 
 
+_studies = sa.table("studies", sa.column("id"), sa.column("announced"))
+
+
 @dataclass(frozen=True)
 class Simulation(Leased):
     """A row without its large parts (``Jobs.specification``, ``Jobs.manifest``)."""
@@ -141,6 +144,17 @@ class Jobs(Leases[Simulation]):
         total = simulations.c.stages_total
         values = {"manifest": manifest, "results": manifest.get("results", {}), "stages_done": total}
         return self._finish(identifier, owner, self._final("succeeded", fraction=1.0, error=None, **values))
+
+    def retry(self, identifier: str) -> Simulation:
+        """Queues a failed or cancelled simulation again; the end of its study is told once more.
+
+        raises: NotFoundError, StateError
+        """
+        row = super().retry(identifier)
+        if row.study_id is not None:
+            with self.engine.begin() as connection:
+                connection.execute(_studies.update().where(_studies.c.id == row.study_id).values(announced=None))
+        return row
 
     def _ended(self, connection: sa.Connection, identifier: str) -> None:
         row = self._one(connection, identifier)

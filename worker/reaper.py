@@ -16,6 +16,7 @@ from worker.idempotency import Idempotency
 from worker.jobs import Jobs, Simulation
 from worker.messages import Messenger
 from worker.settings import Settings
+from worker.studies import Studies
 
 log = logging.getLogger(__name__)
 
@@ -38,6 +39,7 @@ class Reaper:
         self.deliveries = deliveries
         self.fleet = fleet
         self.messenger = messenger
+        self.studies = Studies(jobs)
         self.idempotency = Idempotency(jobs.engine, settings.idempotency_seconds)
         self._stopping = threading.Event()
         self._thread = threading.Thread(target=self._loop, name="reaper", daemon=True)
@@ -58,6 +60,7 @@ class Reaper:
         if self.deliveries is not None:
             self._revive(self.deliveries)
             self._find_lost(self.deliveries, "delivery")
+        self.studies.announce_finished()
         self.fleet.forget(FORGET_WORKERS_SECONDS)
         self.idempotency.forget()
 

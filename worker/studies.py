@@ -9,7 +9,7 @@ from typing import Any, Literal, get_args
 
 import sqlalchemy as sa
 
-from worker import quotas
+from worker import quotas, webhooks
 from worker.contract import EVENT_STATE, FINAL_STATES, Queue, State
 from worker.database import events, metadata, reading, simulations
 from worker.jobs import UNKNOWN, Jobs, Simulation
@@ -37,6 +37,8 @@ studies = sa.Table(
     sa.Column("created", sa.Double, nullable=False),
     # The API key that posted it ("local", "admin" where there was none).
     sa.Column("submitted_by", sa.String(32)),
+    # When its end was told to webhooks; NULL while cases are unfinished, and again after a retry.
+    sa.Column("announced", sa.Double),
     sa.Index("studies_by_age", "created", "id"),
 )
 
@@ -209,6 +211,8 @@ class Studies:
         with self.engine.begin() as connection:
             self._lock(connection, identifier)
             number = self.jobs.retry_all(connection, simulations.c.study_id == identifier, states)
+            if number:
+                connection.execute(studies.update().where(studies.c.id == identifier).values(announced=None))
             return self._one(connection, identifier), number
 
     def delete(self, identifier: str) -> bool:
@@ -222,6 +226,30 @@ class Studies:
                 return False
             connection.execute(studies.delete().where(studies.c.id == identifier))
             return True
+
+    def announce_finished(self) -> list[str]:
+        """Tells webhooks of studies whose last case has ended; each study once, whoever else looks at the same time.
+
+        Not done by the last case itself: two cases that end at the same moment do not see one another.
+        """
+        c = simulations.c
+        unfinished = sa.exists().where(c.study_id == studies.c.id, c.state.not_in(FINAL_STATES))
+        query = sa.select(studies.c.id).where(studies.c.announced.is_(None), ~unfinished)
+        with reading(self.engine) as connection:
+            found = list(connection.scalars(query))
+        return [identifier for identifier in found if self._announce(identifier)]
+
+    def _announce(self, identifier: str) -> bool:
+        now = self.jobs.clock()
+        untold = (studies.c.id == identifier, studies.c.announced.is_(None))
+        with self.engine.begin() as connection:
+            self._lock(connection, identifier)
+            found = _with_counts(connection, sa.select(*_COLUMNS).where(*untold))
+            if not found or not found[0].is_final:
+                return False
+            connection.execute(studies.update().where(*untold).values(announced=now))
+            webhooks.announce(connection, now, "study.finished", lambda: _told(found[0]))
+        return True
 
     def unsent(self, identifier: str, limit: int) -> list[Simulation]:
         """The first queued cases without a message."""
@@ -272,3 +300,15 @@ def _study(row: Json, tally: dict[State, tuple[int, float | None, float | None]]
     started = min((first for _, first, _ in tally.values() if first is not None), default=None)
     finished = max((last for _, _, last in tally.values() if last is not None), default=None)
     return Study(**row, counts=study.counts, started=started, finished=finished if study.is_final else None)
+
+
+def _told(study: Study) -> Json:
+    """What a webhook is told of a study that ended."""
+    return {
+        "id": study.id,
+        "name": study.name,
+        "state": study.state,
+        "cases": study.cases,
+        "counts": study.counts,
+        "href": f"/v1/studies/{study.id}",
+    }

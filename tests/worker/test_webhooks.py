@@ -13,6 +13,7 @@ from worker import outbound
 from worker.courier import Courier, signed_headers
 from worker.jobs import Jobs
 from worker.leases import NotFoundError, StateError
+from worker.studies import NewCase, Studies
 from worker.webhooks import CLAIM_SECONDS, KEEP_SECONDS, RETRY_SECONDS, Attempt, Webhooks
 
 ALL = ["simulation.succeeded", "simulation.failed", "simulation.cancelled"]
@@ -227,3 +228,43 @@ def test_indexes_serve_the_courier(engine, hooks):
             query = "EXPLAIN QUERY PLAN SELECT id FROM webhook_messages WHERE state='pending' AND next_attempt <= 1"
             plan = str(connection.execute(sa.text(query)).all())
         assert "webhook_messages_due" in plan
+
+
+def study_of(jobs, cases):
+    studies = Studies(jobs)
+    new = [NewCase(f"case {n}", {}, {}, {}) for n in range(cases)]
+    return studies, studies.create("a study", {}, [], {}, new).id
+
+
+def test_the_end_of_a_study_is_told_once(hooks, jobs, clock):
+    hook, _ = hooks.create("https://example.org/", ["study.finished"])
+    studies, identifier = study_of(jobs, 2)
+    first, last = (case.id for case in studies.cases(identifier))
+    jobs.claim(first, "me")
+    jobs.fail(first, "me", {"kind": "user", "code": "x", "message": "y"})
+    assert studies.announce_finished() == []
+    jobs.claim(last, "me")
+    jobs.succeed(last, "me", {})
+    assert studies.announce_finished() == [identifier]
+    assert studies.announce_finished() == []
+    (message,) = hooks.messages(hook.id, 10)
+    told = json.loads(message.body)["data"]
+    assert (told["id"], told["state"], told["counts"]) == (identifier, "partial", {"failed": 1, "succeeded": 1})
+
+
+@pytest.mark.parametrize("how", ["case", "study"])
+def test_a_study_that_goes_on_ends_once_more(hooks, jobs, clock, how):
+    hook, _ = hooks.create("https://example.org/", ["study.finished"])
+    studies, identifier = study_of(jobs, 1)
+    (case,) = studies.cases(identifier)
+    jobs.claim(case.id, "me")
+    jobs.fail(case.id, "me", {"kind": "user", "code": "x", "message": "y"})
+    studies.announce_finished()
+    if how == "case":
+        jobs.retry(case.id)
+    else:
+        studies.retry(identifier)
+    assert studies.announce_finished() == []
+    studies.cancel(identifier)
+    assert studies.announce_finished() == [identifier]
+    assert len(hooks.messages(hook.id, 10)) == 2
