@@ -51,7 +51,7 @@ def test_nonsense(client, case, is_problem, seen):
 
 
 def test_a_live_stream_ends_with_the_case(client, post, served, monkeypatch):
-    monkeypatch.setattr("api.events.POLL_SECONDS", 0.02)
+    monkeypatch.setattr("api.events.FIRST_POLL_SECONDS", 0.02)
     monkeypatch.setattr("api.events.HEARTBEAT_SECONDS", 0.05)
     made = post()
     thread = threading.Timer(0.5, lambda: served.jobs.cancel(made["id"]))
@@ -69,7 +69,7 @@ def test_the_end_is_told_before_the_stream_ends(served, case):
 
 
 def test_a_retried_case_goes_on(client, case, served, monkeypatch):
-    monkeypatch.setattr("api.events.POLL_SECONDS", 0.02)
+    monkeypatch.setattr("api.events.FIRST_POLL_SECONDS", 0.02)
     served.jobs.retry(case["id"])
     thread = threading.Timer(0.3, lambda: served.jobs.cancel(case["id"]))
     thread.start()
@@ -79,7 +79,7 @@ def test_a_retried_case_goes_on(client, case, served, monkeypatch):
 
 
 def test_forgotten_while_watched(client, post, served, monkeypatch):
-    monkeypatch.setattr("api.events.POLL_SECONDS", 0.02)
+    monkeypatch.setattr("api.events.FIRST_POLL_SECONDS", 0.02)
     made = post()
 
     def forget():
