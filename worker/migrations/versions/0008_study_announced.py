@@ -5,8 +5,8 @@ from __future__ import annotations
 import sqlalchemy as sa
 from alembic import op
 
-revision = "0007_study_announced"
-down_revision = "0006_deliveries"
+revision = "0008_study_announced"
+down_revision = "0007_counters"
 branch_labels = None
 depends_on = None
 
