@@ -92,8 +92,13 @@ def find_lesions(phantom: Phantom, lift: float, volume: Grid) -> tuple[Lesion, .
 
 
 def _voxels_of(labels: NDArray[np.uint8], tissue: Tissue) -> Indices:
-    planes = [np.argwhere(plane == tissue) for plane in labels]
-    return np.concatenate([np.insert(plane, 0, k, axis=1) for k, plane in enumerate(planes)]).astype(np.int64)
+    """Indices (z, y, x), ordered."""
+    columns = labels.shape[2]
+    found = []
+    for k, plane in enumerate(labels):
+        flat = np.flatnonzero(plane == tissue)
+        found.append(np.stack([np.full(len(flat), k), flat // columns, flat % columns], axis=1))
+    return np.concatenate(found).astype(np.int64)
 
 
 def _known(truth: tuple[dict[str, Any], ...], tissue: Tissue) -> tuple[list[str], list[list[float]]]:
