@@ -20,6 +20,7 @@ from api import (
     metrics,
     page,
     phantoms,
+    pins,
     reference,
     simulations,
     studies,
@@ -37,6 +38,7 @@ from simcore import __version__
 from simcore.spec import SimulationSpec
 from simcore.study import StudySpec
 from worker.courier import Courier
+from worker.garbage import Collector
 from worker.messages import Messenger
 from worker.reaper import Reaper
 from worker.settings import Settings
@@ -61,14 +63,17 @@ def create_app(settings: Settings | None = None, messenger: Messenger | None = N
         app.state.services = served
         reaper = Reaper(chosen, served.jobs, served.fleet, served.messenger, served.deliveries)
         courier = Courier(chosen, served.webhooks)
+        collector = Collector(chosen, served.jobs.engine, served.store)
         if sweep:
             reaper.start()
             courier.start()
+            collector.start()
         async with dicomweb.serving(app, served, sweep):
             yield
         if sweep:
             await run_in_threadpool(reaper.stop)
             await run_in_threadpool(courier.stop)
+            await run_in_threadpool(collector.stop)
         served.close()
 
     app = FastAPI(
@@ -88,7 +93,18 @@ def create_app(settings: Settings | None = None, messenger: Messenger | None = N
     if chosen.viewer_origins:
         app.add_middleware(ViewerOrigins, origins=chosen.viewer_origins)
     app.add_middleware(Requests)
-    for module in (simulations, events, artifacts, studies, phantoms, destinations, deliveries, webhooks, catalog):
+    for module in (
+        simulations,
+        events,
+        artifacts,
+        studies,
+        phantoms,
+        destinations,
+        deliveries,
+        webhooks,
+        pins,
+        catalog,
+    ):
         app.include_router(module.router, prefix=PREFIX, dependencies=[Depends(authenticate)])
     app.include_router(dicomweb.router)
     app.include_router(health.router)

@@ -22,6 +22,7 @@ from worker.idempotency import Idempotency
 from worker.jobs import Jobs, NotFoundError
 from worker.keys import Keys, check_address
 from worker.messages import CeleryMessenger, Messenger
+from worker.retention import Retention
 from worker.settings import Settings
 from worker.storage import open_store
 from worker.studies import Studies
@@ -62,6 +63,11 @@ class Services:
             messenger or CeleryMessenger(settings),
             open_store(settings),
         )
+
+    @property
+    def retention(self) -> Retention:
+        """The repository of pins."""
+        return Retention(self.jobs.engine, self.jobs.clock)
 
     @property
     def webhooks(self) -> Webhooks:

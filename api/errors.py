@@ -18,6 +18,7 @@ from simcore.core.errors import ResourceLimitError, SimulationError, SpecError, 
 from worker import logs
 from worker.jobs import NotFoundError
 from worker.quotas import QuotaError
+from worker.retention import ExpiredError
 
 METHODS = ("GET", "HEAD", "POST", "PUT", "PATCH", "DELETE")
 
@@ -137,6 +138,11 @@ def install(app: FastAPI) -> None:
     async def _not_found(request: Request, error: NotFoundError) -> Response:
         answer = ApiError(404, f"{error.what}-not-found", f"there is no {error.what} {str(error)[:MAX_SHOWN]}")
         return problem_response(request.url.path, answer)
+
+    @app.exception_handler(ExpiredError)
+    async def _expired(request: Request, error: ExpiredError) -> Response:
+        detail = f"{error} were kept until a time that has passed: post it again to make them anew"
+        return problem_response(request.url.path, ApiError(410, "expired", detail))
 
     @app.exception_handler(SimulationError)
     async def _simulation_error(request: Request, error: SimulationError) -> Response:

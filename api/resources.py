@@ -65,6 +65,8 @@ class SimulationResource(BaseModel):
     request_id: str | None = Field(description="of the request that posted it; log lines of the case carry it")
     error: FailureResource | None
     results: dict[str, Any] | None = Field(description="main numbers of a case that succeeded")
+    expires_at: datetime | None = Field(description="its files are kept until then, or as long as it is pinned")
+    pinned: bool
     study: StudyPlace | None = Field(None, description="of a case of a study")
     specification: dict[str, Any] | None = Field(None, description="left out of lists")
     links: dict[str, str]
@@ -127,6 +129,8 @@ def simulation_resource(row: Simulation, specification: dict[str, Any] | None = 
         request_id=row.request_id,
         error=FailureResource(**row.error) if row.error else None,
         results=row.results,
+        expires_at=when(row.expires_at) if row.expires_at else None,
+        pinned=row.pinned,
         study=_place(row),
         specification=specification,
         links=links,

@@ -15,6 +15,7 @@ from api.deps import Identifier, PostedSpecification, Served, Services
 from api.errors import ApiError
 from api.idempotency import IdempotentRoute, Making
 from api.resources import SimulationPage, SimulationResource, simulation_path, simulation_resource
+from api.retention import AskedRetention
 from simcore import estimate
 from simcore.estimate import Estimate
 from simcore.phantom.upload import registry
@@ -46,6 +47,7 @@ def create(
     wanted: WantedDeliveries,
     served: Served,
     making: Making,
+    retention: AskedRetention,
     request: Request,
     response: Response,
     priority: Annotated[Priority, Query(description="interactive cases go before batch ones")] = "interactive",
@@ -68,6 +70,7 @@ def create(
             identifier=making.identifier,
             submitter=submitter,
             deliver=wanted,
+            retention=retention,
         )
         send(served, row)
     response.headers.update({"Location": str(request.base_url).rstrip("/") + simulation_path(row.id), **RETRY_AFTER})
@@ -112,10 +115,11 @@ def get_simulation(
 ) -> Any:
     """One case. Its entity tag changes with its revision."""
     row = served.jobs.get(identifier)
-    headers = {"ETag": f'W/"{row.revision}"', "Cache-Control": "no-cache"}
+    tag = f"{row.revision}{'-pinned' * row.pinned}{f'-{row.expires_at:.0f}' if row.expires_at else ''}"
+    headers = {"ETag": f'W/"{tag}"', "Cache-Control": "no-cache"}
     if not row.is_final:
         headers |= RETRY_AFTER
-    if none_match(if_none_match, str(row.revision)):
+    if none_match(if_none_match, tag):
         return Response(status_code=304, headers=headers)
     response.headers.update(headers)
     return simulation_resource(row, served.jobs.specification(identifier))

@@ -19,6 +19,8 @@ import sqlalchemy as sa
 
 from simcore.core.bucket import Location
 from worker.database import connect, create_tables
+from worker.tables import metadata
+
 
 def pytest_addoption(parser: pytest.Parser) -> None:
     parser.addoption("--production", action="store_true", help="on PostgreSQL, S3 and redis-server, what uses them")
@@ -37,20 +39,41 @@ def backend(request: pytest.FixtureRequest) -> dict[str, object]:
     """Settings of database, store and broker for one test: none, or with ``--production`` fresh ones."""
     if not request.config.getoption("--production"):
         return {}
-    request.getfixturevalue("empty_postgres")()
-    url = request.getfixturevalue("postgres_url")
-    engine = connect(url)
-    create_tables(engine)
-    engine.dispose()
     location = request.getfixturevalue("make_location")()
     return {
-        "database_url": url,
+        "database_url": request.getfixturevalue("empty_service_database"),
         "broker_url": request.getfixturevalue("redis_url"),
         "store_url": location.url,
         "store_endpoint": location.endpoint,
         "store_access_key": location.access_key,
         "store_secret_key": location.secret_key,
     }
+
+
+@pytest.fixture(scope="session")
+def service_database(postgres_url: str) -> str:
+    """A PostgreSQL database with all tables."""
+    engine = connect(postgres_url)
+    with engine.connect().execution_options(isolation_level="AUTOCOMMIT") as connection:
+        connection.execute(sa.text("CREATE DATABASE service"))
+    engine.dispose()
+    url = postgres_url.replace("/postgres?", "/service?")
+    engine = connect(url)
+    create_tables(engine)
+    engine.dispose()
+    return url
+
+
+@pytest.fixture
+def empty_service_database(service_database: str) -> str:
+    """The same without a row, and without a connection that a test before has left."""
+    others = "SELECT pg_terminate_backend(pid) FROM pg_stat_activity WHERE datname = current_database()"
+    engine = connect(service_database)
+    with engine.begin() as connection:
+        connection.execute(sa.text(f"{others} AND pid != pg_backend_pid()"))
+        connection.execute(sa.text(f"TRUNCATE {', '.join(metadata.tables)} CASCADE"))
+    engine.dispose()
+    return service_database
 
 
 @pytest.fixture(scope="session")
@@ -175,7 +198,11 @@ def empty_postgres(postgres_url: str) -> Callable[[], None]:
 def s3_endpoint() -> Iterator[str]:
     """URL of an S3 service that keeps everything in memory."""
     from moto.moto_server.werkzeug_app import DomainDispatcherApplication, create_backend_app
-    from werkzeug.serving import make_server
+    from werkzeug.serving import WSGIRequestHandler, make_server
+
+    class Quiet(WSGIRequestHandler):
+        def log(self, *args, **kwargs):
+            pass
 
     app = DomainDispatcherApplication(create_backend_app)
     one_at_a_time = threading.Lock()
@@ -185,7 +212,7 @@ def s3_endpoint() -> Iterator[str]:
         with one_at_a_time:
             return list(app(environ, start_response))
 
-    server = make_server("127.0.0.1", 0, serve, threaded=True)
+    server = make_server("127.0.0.1", 0, serve, threaded=True, request_handler=Quiet)
     thread = threading.Thread(target=server.serve_forever, daemon=True)
     thread.start()
     yield f"http://127.0.0.1:{server.server_port}"
@@ -193,16 +220,21 @@ def s3_endpoint() -> Iterator[str]:
     thread.join()
 
 
+@pytest.fixture(scope="session")
+def s3_bucket(s3_endpoint: str) -> str:
+    """Name of a bucket there."""
+    import boto3
+
+    keys = {"aws_access_key_id": S3_KEYS["access_key"], "aws_secret_access_key": S3_KEYS["secret_key"]}
+    boto3.client("s3", endpoint_url=s3_endpoint, region_name="us-east-1", **keys).create_bucket(Bucket="stages")
+    return "stages"
+
+
 @pytest.fixture
-def make_location(s3_endpoint: str) -> Callable[[], Location]:
-    """Makes a bucket of its own; where a store in it lies."""
+def make_location(s3_endpoint: str, s3_bucket: str) -> Callable[[], Location]:
+    """Where a store lies that is empty."""
 
     def make() -> Location:
-        import boto3
-
-        name = f"bucket-{uuid.uuid4().hex[:12]}"
-        keys = {"aws_access_key_id": "test-key", "aws_secret_access_key": "test-secret"}
-        boto3.client("s3", endpoint_url=s3_endpoint, region_name="us-east-1", **keys).create_bucket(Bucket=name)
-        return Location(f"s3://{name}/some/prefix", s3_endpoint, **S3_KEYS)
+        return Location(f"s3://{s3_bucket}/some/{uuid.uuid4().hex[:12]}", s3_endpoint, **S3_KEYS)
 
     return make

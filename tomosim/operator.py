@@ -1,4 +1,4 @@
-"""``tomosim db``: what an operator runs by hand, with the settings of the environment."""
+"""``tomosim db``, ``tomosim gc``: what an operator runs by hand, with the settings of the environment."""
 
 from __future__ import annotations
 
@@ -22,6 +22,10 @@ def add_commands(commands: Any) -> None:
     p.set_defaults(run=_on_database(_downgrade))
     p = of_database.add_parser("current", help="revision of the database, and the one this program needs")
     p.set_defaults(run=_on_database(_current))
+
+    p = commands.add_parser("gc", help="remove from the store what no case needs any more")
+    p.add_argument("--dry-run", action="store_true", help="only say what would be removed")
+    p.set_defaults(run=_on_database(_collect))
 
 
 def _on_database(action: Callable[[sa.Engine, argparse.Namespace], None]) -> Callable[[argparse.Namespace], None]:
@@ -64,3 +68,20 @@ def _current(engine: sa.Engine, args: argparse.Namespace) -> None:
     from worker import schema
 
     print(f"database: {schema.current(engine) or 'no tables'}; this program needs: {schema.newest()}")
+
+
+def _collect(engine: sa.Engine, args: argparse.Namespace) -> None:
+    import time
+
+    from worker import schema
+    from worker.garbage import collect
+    from worker.settings import Settings
+    from worker.storage import open_store
+
+    settings = Settings.load()
+    schema.require_current(engine)
+    done = collect(engine, open_store(settings), settings.gc_grace_seconds, time.time(), args.dry_run)
+    print(
+        f"{'would remove' if args.dry_run else 'removed'} {done.records} stages and {done.objects} files "
+        f"({done.size / 1e9:.2f} GB); {done.kept_objects} files ({done.kept_size / 1e9:.2f} GB) stay"
+    )

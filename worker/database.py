@@ -52,6 +52,11 @@ simulations = sa.Table(
     sa.Column("study_id", sa.String(32), sa.ForeignKey("studies.id", name="simulations_of_study", ondelete="CASCADE")),
     sa.Column("study_number", sa.Integer),
     sa.Column("coordinates", sa.JSON(none_as_null=True)),
+    # Seconds for which its files are kept after it (or the study) has ended, NULL: for ever; until when that is; and
+    # whether they are kept whatever that says.
+    sa.Column("retention", sa.Double),
+    sa.Column("expires_at", sa.Double),
+    sa.Column("pinned", sa.Boolean, nullable=False, default=False),
     sa.Index("simulations_by_age", "created", "id"),
     sa.Index("simulations_by_state", "state", "created"),
     sa.Index("simulations_by_key", "submitted_by", "created"),

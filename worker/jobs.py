@@ -10,6 +10,7 @@ from typing import Any, ClassVar, cast
 import sqlalchemy as sa
 
 from worker import counters, quotas, webhooks
+from worker import retention as keeping
 from worker.contract import DEFAULT_QUEUE, EVENT_PROGRESS, EVENT_STATE, Queue, State, WebhookEvent
 from worker.database import events, reading, simulations
 from worker.deliveries import Deliveries
@@ -18,6 +19,7 @@ from worker.leases import Json, Leased, Leases
 from worker.leases import NotFoundError as NotFoundError
 from worker.leases import StateError as StateError
 from worker.quotas import Submitter
+from worker.retention import ExpiredError, is_expired
 
 UNKNOWN = Submitter("local")
 
@@ -43,6 +45,9 @@ class Simulation(Leased):
     coordinates: Json | None
     submitted_by: str | None
     request_id: str | None
+    retention: float | None
+    expires_at: float | None
+    pinned: bool
 
 
 @dataclass(frozen=True)
@@ -77,11 +82,13 @@ class Jobs(Leases[Simulation]):
         identifier: str | None = None,
         submitter: Submitter = UNKNOWN,
         deliver: list[Json] | None = None,
+        retention: float | None = None,
     ) -> Simulation:
         """A new queued simulation; its message is sent after this has returned.
 
         identifier: a new one where not given. deliver: where its files go when it has succeeded:
-        [{"destination": id, "name", "files": patterns}].
+        [{"destination": id, "name", "files": patterns}]. retention: seconds for which its files are kept;
+        None: for ever.
         raises: QuotaError where the submitter may have no more.
         """
         identifier = identifier or uuid.uuid4().hex
@@ -95,6 +102,7 @@ class Jobs(Leases[Simulation]):
             "deliver": deliver or None,
             "created": self.clock(),
             **submitter.columns(),
+            "retention": retention,
         }
         with self.engine.begin() as connection:
             quotas.require(connection, submitter, 1, row["created"])
@@ -107,7 +115,9 @@ class Jobs(Leases[Simulation]):
         return self._column(identifier, "specification")  # type: ignore[no-any-return]
 
     def manifest(self, identifier: str) -> Json | None:
-        """The manifest of a simulation that succeeded, else None. raises: NotFoundError"""
+        """The manifest of a simulation that succeeded, else None. raises: NotFoundError, ExpiredError"""
+        if is_expired(row := self.get(identifier), self.clock()):
+            raise ExpiredError(f"the files of simulation {row.id}")
         return self._column(identifier, "manifest")  # type: ignore[no-any-return]
 
     def page(
@@ -158,6 +168,7 @@ class Jobs(Leases[Simulation]):
 
     def _ended(self, connection: sa.Connection, identifier: str) -> None:
         row = self._one(connection, identifier)
+        keeping.set_expiry(connection, row, self.clock())
         if row.state == "succeeded":
             self._deliver(connection, identifier)
         event = cast(WebhookEvent, f"simulation.{row.state}")

@@ -99,6 +99,14 @@ class Settings(BaseSettings):
         description="origins of pages that may read /dicomweb (viewers), separated by commas: "
         "https://viewer.example.org; empty: none",
     )
+    retention_seconds: float = Field(
+        0.0, ge=0, description="files of a case are kept so long after its end where it says nothing [s]; 0: for ever"
+    )
+    event_seconds: float = Field(86400.0, gt=0, description="progress events are kept so long after the end [s]")
+    gc_interval_seconds: float = Field(3600.0, gt=0, description="interval of the collection of garbage [s]")
+    gc_grace_seconds: float = Field(
+        86400.0, gt=0, description="what was used within this time is never collected [s]; at least two job timeouts"
+    )
     body_limit_bytes: int = Field(1_000_000, gt=0, description="largest body of a request [byte]")
     study_case_limit: int = Field(2000, ge=1, le=100_000, description="largest number of cases of a study")
     idempotency_seconds: float = Field(24 * HOUR, gt=0, description="an Idempotency-Key is remembered for [s]")
@@ -150,6 +158,15 @@ class Settings(BaseSettings):
                 f"{len(value)} characters; at least {MIN_SECRET_LENGTH} ('openssl rand -hex 32' makes one)"
             )
         return value
+
+    @model_validator(mode="after")
+    def _check_grace(self) -> Self:
+        if self.gc_grace_seconds < 2 * self.job_timeout_seconds:
+            raise ValueError(
+                f"TOMOSIM_GC_GRACE_SECONDS = {self.gc_grace_seconds:g}: a running case needs what it has found; at "
+                f"least 2 x TOMOSIM_JOB_TIMEOUT_SECONDS = {2 * self.job_timeout_seconds:g} s"
+            )
+        return self
 
     @model_validator(mode="after")
     def _check_store(self) -> Self:

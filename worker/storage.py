@@ -21,4 +21,5 @@ def open_store(settings: Settings) -> Store:
         location,
         settings.min_free_bytes,
         settings.store_cache_bytes,
+        settings.gc_grace_seconds / 2,
     )

@@ -110,10 +110,12 @@ class Studies:
         identifier: str | None = None,
         queue: Queue = STUDY_QUEUE,
         submitter: Submitter = UNKNOWN,
+        retention: float | None = None,
     ) -> Study:
         """A new study and all its cases, queued, in one transaction. Their messages are sent after this has returned.
 
-        identifier: a new one where not given.
+        identifier: a new one where not given. retention: seconds for which files are kept after the end; None: for
+        ever.
         raises: QuotaError where the submitter may not have so many more.
         """
         identifier = identifier or uuid.uuid4().hex
@@ -129,7 +131,7 @@ class Studies:
             "submitted_by": submitter.id,
         }
         rows = [
-            _case_row(identifier, number, case, now) | {"queue": queue, **submitter.columns()}
+            _case_row(identifier, number, case, now) | {"queue": queue, "retention": retention, **submitter.columns()}
             for number, case in enumerate(cases, start=1)
         ]
         first_events = [

@@ -15,6 +15,7 @@ from api.conditions import none_match
 from api.deps import Served, Services, StudyIdentifier, read_json
 from api.errors import ApiError
 from api.idempotency import IdempotentRoute, Making
+from api.retention import AskedRetention
 from api.simulations import RETRY_AFTER, chosen_queue, send
 from api.studies.checking import check
 from api.studies.resources import StudyEstimate, StudyPage, StudyResource, study_path, study_resource
@@ -53,6 +54,7 @@ def create(
     study: PostedStudy,
     served: Served,
     making: Making,
+    retention: AskedRetention,
     request: Request,
     response: Response,
     background: BackgroundTasks,
@@ -75,6 +77,7 @@ def create(
             making.identifier,
             queue,
             submitter,
+            retention,
         )
     background.add_task(_send_first, served, row.id)
     response.headers.update({"Location": str(request.base_url).rstrip("/") + study_path(row.id), **RETRY_AFTER})

@@ -4,6 +4,7 @@ import base64
 import hashlib
 import io
 import json
+import time
 import zipfile
 
 import pytest
@@ -130,7 +131,7 @@ def test_too_early(client, post, path, is_problem):
 
 def test_files_that_are_gone(client, done, served, is_problem):
     item = next(i for i in client.get(f"{done}/artifacts").json()["items"] if i["name"] == "volume.dcm")
-    (served.store.root / "objects" / item["sha256"][:2] / item["sha256"]).unlink()
+    assert served.store.remove_object(item["sha256"], unused_since=time.time() + 60)
     is_problem(client.get(f"{done}/artifacts/volume.dcm"), 410, "expired")
     is_problem(client.get(f"{done}/archive"), 410, "expired")
 

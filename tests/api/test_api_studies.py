@@ -3,6 +3,7 @@
 import csv
 import io
 import json
+import time
 import zipfile
 
 import pytest
@@ -333,7 +334,7 @@ def test_archive(client, study, cases, served, finish, is_problem):
 def test_archive_of_a_study_whose_files_are_gone(client, study, cases, served, finish, is_problem):
     finish(cases[1]["id"])
     for item in client.get(f"{cases[1]['href']}/artifacts").json()["items"]:
-        (served.store.root / "objects" / item["sha256"][:2] / item["sha256"]).unlink()
+        assert served.store.remove_object(item["sha256"], unused_since=time.time() + 60)
     assert "case-0002/" in is_problem(client.get(study["links"]["self"] + "/archive"), 410, "expired")["detail"]
 
 
