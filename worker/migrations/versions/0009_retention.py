@@ -5,8 +5,8 @@ from __future__ import annotations
 import sqlalchemy as sa
 from alembic import op
 
-revision = "0008_retention"
-down_revision = "0007_counters"
+revision = "0009_retention"
+down_revision = "0008_study_announced"
 branch_labels = None
 depends_on = None
 
