@@ -3,18 +3,17 @@
 from __future__ import annotations
 
 import logging
-from datetime import datetime
-from typing import Annotated, Any, Self
+from typing import Annotated, Any
 
 from fastapi import APIRouter, Depends, Header, Query, Request, Response
 from fastapi.responses import StreamingResponse
-from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from api import pages
 from api.artifacts import finished_manifest
 from api.auth import Deliver, Read
 from api.bodies import body_of, posted
 from api.conditions import none_match
+from api.delivery_resources import DeliveryPage, DeliveryResource, InstancePage, InstanceResource, NewDelivery
 from api.deps import Served, Services, identifier_of
 from api.destinations import destination_path, find_destination
 from api.errors import ApiError
@@ -23,8 +22,8 @@ from api.idempotency import IdempotentRoute, Making
 from api.resources import PREFIX, FailureResource, simulation_path, when
 from api.simulations import RETRY_AFTER
 from simcore.core.store import FileRef
-from worker.contract import State
-from worker.deliveries import Delivery, Instance, InstanceState, Item, items_of
+from worker.contract import InstanceState, State
+from worker.deliveries import Delivery, Instance, Item, items_of
 from worker.deliveries import Request as DeliveryRequest
 from worker.leases import NotFoundError, StateError
 
@@ -39,89 +38,6 @@ router = APIRouter(prefix="/deliveries", tags=["deliveries"], route_class=Idempo
 
 
 Identifier = Annotated[str, Depends(identifier_of("delivery"))]
-
-
-class NewDelivery(BaseModel):
-    """What is to be sent, and where."""
-
-    model_config = ConfigDict(extra="forbid", strict=True)
-
-    destination: str = Field(min_length=1, max_length=64, description="identifier or name of a destination")
-    simulation_id: str | None = Field(None, pattern="^[0-9a-f]{32}$", description="a case that succeeded")
-    study_id: str | None = Field(
-        None, pattern="^[0-9a-f]{32}$", description="a study: all its cases that have succeeded so far"
-    )
-    series: list[str] = Field([], max_length=100, description="Series Instance UIDs of a case; empty: every series")
-    files: list[str] = Field(
-        [], max_length=100, description="names or patterns of files (tomosynthesis.dcm, projections/*); empty: all"
-    )
-
-    @model_validator(mode="after")
-    def _fits(self) -> Self:
-        if (self.simulation_id is None) == (self.study_id is None):
-            raise ValueError("simulation_id, study_id: give one of them")
-        if self.series and self.study_id is not None:
-            raise ValueError("series: every case of a study has its own; choose by files")
-        if self.series and self.files:
-            raise ValueError("series and files: give one of them")
-        return self
-
-
-class InstanceResource(BaseModel):
-    """One instance on its way."""
-
-    number: int
-    simulation_id: str
-    name: str = Field(description="the file of the case")
-    sha256: str
-    size: int = Field(description="[byte]")
-    sop_instance_uid: str | None = Field(description="null until it was read")
-    state: InstanceState
-    attempts: int
-    status: str | None = Field(description="of the C-STORE response, hexadecimal; null where none came")
-    code: str | None
-    message: str
-    finished_at: datetime | None
-
-
-class InstancePage(BaseModel):
-    """Some instances in order; the next ones: ``after`` = ``next``."""
-
-    items: list[InstanceResource]
-    next: int | None
-
-
-class DeliveryResource(BaseModel):
-    """One delivery. Counts of instances and bytes; what is neither stored nor failed waits."""
-
-    id: str
-    state: State
-    revision: int = Field(description="raised with every change")
-    destination: dict[str, str]
-    simulation_id: str | None
-    study_id: str | None
-    automatic: bool = Field(description="made by the success of the case")
-    attempt: int
-    created_at: datetime
-    started_at: datetime | None
-    finished_at: datetime | None
-    next_attempt_at: datetime | None = Field(description="a queued delivery is not tried before")
-    message: str
-    error: FailureResource | None = Field(description="why it failed, or why the last attempt did")
-    instances_total: int
-    instances_stored: int
-    instances_failed: int
-    bytes_total: int
-    bytes_stored: int
-    instances: list[InstanceResource] | None = Field(None, description="left out of lists; the first 1000")
-    links: dict[str, str]
-
-
-class DeliveryPage(BaseModel):
-    """Some deliveries, the newest first; the next page is in the Link header and in ``next``."""
-
-    items: list[DeliveryResource]
-    next: str | None
 
 
 async def _new(request: Request) -> NewDelivery:

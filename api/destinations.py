@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import json
-from datetime import datetime
 from typing import Annotated, Any
 
 from fastapi import APIRouter, Depends, Header, Request, Response
-from pydantic import BaseModel, Field
 
 from api.auth import Administer, Deliver
 from api.bodies import body_of, parsed, posted
+from api.delivery_resources import DestinationList, DestinationName, DestinationResource, EchoResource
 from api.deps import Served, Services, identifier_of, read_body, services
 from api.errors import ApiError
 from api.resources import PREFIX, when
@@ -24,39 +23,6 @@ router = APIRouter(prefix="/destinations", tags=["deliveries"])
 
 
 Identifier = Annotated[str, Depends(identifier_of("destination"))]
-
-
-class DestinationResource(Destination):
-    """A destination."""
-
-    id: str
-    revision: int = Field(description="raised with every change")
-    created_at: datetime
-    links: dict[str, str]
-
-
-class DestinationName(BaseModel):
-    """What those may see who may deliver and are no administrators."""
-
-    id: str
-    name: str
-
-
-class DestinationList(BaseModel):
-    """All destinations, by name."""
-
-    items: list[DestinationResource | DestinationName]
-
-
-class EchoResource(BaseModel):
-    """How a destination answered."""
-
-    reachable: bool = Field(description="whether it accepted the association and answered C-ECHO")
-    code: str = Field(description="'ok', or what went wrong: stable, machine-readable")
-    message: str
-    seconds: float
-    accepted: list[str] = Field(description="SOP classes of ours that it accepts")
-    refused: list[str] = Field(description="SOP classes of ours that it refuses: those series will not be stored")
 
 
 async def _new(request: Request) -> Destination:

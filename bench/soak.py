@@ -66,6 +66,8 @@ def soak(folder: Path, cases: int, seconds: float, pause: float, seed: int) -> t
     """The figures of one run, and everything that is wrong. folder: empty, on a disk with room."""
     start = time.monotonic()
     specs = {f"soak-{number:03d}": specification(number) for number in range(cases)}
+    # Kernels are compiled once before: a process that is killed every few seconds would never get through with it.
+    reference_files({"first": specification(0)}, folder / "warm")
     service = Service(folder / "data")
     try:
         service.start()

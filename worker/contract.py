@@ -54,6 +54,14 @@ WebhookEvent = Literal[
 MessageState = Literal["pending", "delivered", "failed"]
 """Of a message to a webhook."""
 
+StudyState = Literal["queued", "running", "cancelling", "succeeded", "partial", "failed", "cancelled"]
+"""Follows from the states of the cases; partial: some succeeded and some did not."""
+
+STUDY_STATES: tuple[StudyState, ...] = get_args(StudyState)
+
+InstanceState = Literal["waiting", "stored", "failed"]
+"""Of a file on its way to a destination."""
+
 EVENT_STATE = "state"
 EVENT_PROGRESS = "progress"
 

@@ -11,12 +11,21 @@ import fnmatch
 import uuid
 from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
-from typing import Any, ClassVar, Literal
+from typing import Any, ClassVar
 
 import sqlalchemy as sa
 
 from worker import counters, webhooks
-from worker.contract import ACTIVE_STATES, EVENT_PROGRESS, EVENT_STATE, FINAL_STATES, STATES, Queue, State
+from worker.contract import (
+    ACTIVE_STATES,
+    EVENT_PROGRESS,
+    EVENT_STATE,
+    FINAL_STATES,
+    STATES,
+    InstanceState,
+    Queue,
+    State,
+)
 from worker.database import metadata, reading
 from worker.delivery.outcomes import Outcome
 from worker.destinations import find, lock
@@ -24,7 +33,6 @@ from worker.leases import NO_OWNER, Json, Leased, Leases, NotFoundError, StateEr
 
 MAX_BACKOFF_SECONDS = 600.0
 
-InstanceState = Literal["waiting", "stored", "failed"]
 
 deliveries = sa.Table(
     "deliveries",

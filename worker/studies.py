@@ -5,23 +5,18 @@ from __future__ import annotations
 import uuid
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
-from typing import Any, Literal, get_args
+from typing import Any
 
 import sqlalchemy as sa
 
 from worker import quotas, webhooks
-from worker.contract import EVENT_STATE, FINAL_STATES, Queue, State
+from worker.contract import EVENT_STATE, FINAL_STATES, Queue, State, StudyState
 from worker.database import events, metadata, reading, simulations
 from worker.jobs import UNKNOWN, Jobs, Simulation
 from worker.leases import Json, NotFoundError
 from worker.quotas import Submitter
 
 STUDY_QUEUE: Queue = "batch"
-
-StudyState = Literal["queued", "running", "cancelling", "succeeded", "partial", "failed", "cancelled"]
-"""Follows from the states of the cases; partial: some succeeded and some did not."""
-
-STUDY_STATES: tuple[StudyState, ...] = get_args(StudyState)
 
 studies = sa.Table(
     "studies",

@@ -3,9 +3,11 @@
 import json
 import os
 import queue
+import socket
 import subprocess
 import sys
 import threading
+import zipfile
 from collections.abc import Callable
 from pathlib import Path
 
@@ -20,6 +22,7 @@ from simcore.spec import SimulationSpec
 from tomosim import client as clients
 from tomosim.client import AsyncClient, Client, Retrying, ServiceError, twin
 from tomosim.client.files import Partial
+from worker.destination_spec import Destination
 from worker.settings import Settings
 from worker.supervisor import Slot
 
@@ -38,6 +41,13 @@ class NoBroker:
 
     def ping(self) -> None:
         pass
+
+
+@pytest.fixture
+def free_port() -> int:
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        return int(probe.getsockname()[1])
 
 
 @pytest.fixture(scope="module")
@@ -202,6 +212,63 @@ def test_webhooks(client):
     assert client.enable_webhook(hook.id).state == client.webhook(hook.id).state == "active"
     client.delete_webhook(hook.id)
     assert client.webhooks() == []
+
+
+def test_a_study_from_submission_to_archive(client, run, tmp_path: Path):
+    study = {
+        "name": "pair",
+        "base": {"name": "fine"},
+        "axes": [{"kind": "grid", "field": "seed", "values": [31, 32]}],
+    }
+    assert client.estimate_study(study).cases == 2
+    made = client.submit_study(study)
+    assert (made.cases, made.state) == (2, "queued")
+    assert made.id in [s.id for s in client.studies(page_size=1)]
+    cases = list(client.study_cases(made.id, page_size=1))
+    assert [c.coordinates["seed"] for c in cases] == [31, 32]
+    assert {c.id for c in client.simulations(study_id=made.id)} == {c.id for c in cases}
+    run(cases[0].id)
+    client.wait(cases[0].id)
+    assert client.cancel_study(made.id).counts["cancelled"] == 1
+    looks = []
+    assert client.wait_for_study(made.id, looks.append, timeout_seconds=30).state == "partial"
+    assert looks[-1].finished_cases == 2
+    assert client.retry_study(made.id, cancelled=True).counts["queued"] == 1
+    with pytest.raises(TimeoutError):
+        client.wait_for_study(made.id, timeout_seconds=0)
+    run(cases[1].id)
+    assert client.wait_for_study(made.id).state == "succeeded"
+    assert [c["number"] for c in client.study_manifest(made.id)["cases"]] == [1, 2]
+    for get, identifier in ((client.download_study_archive, made.id), (client.download_archive, cases[0].id)):
+        target = tmp_path / identifier / "files.zip"
+        assert get(identifier, target) == target.stat().st_size
+        assert zipfile.ZipFile(target).testzip() is None
+        assert list(target.parent.iterdir()) == [target]
+    client.delete_study(made.id)
+    with pytest.raises(clients.NotFoundError):
+        client.study(made.id)
+
+
+def test_destinations_and_deliveries(client, done: str, free_port: int):
+    wanted = Destination(name="archive", host="127.0.0.1", port=free_port, called_aet="ARCHIVE")
+    made = client.create_destination(wanted)
+    assert [d.id for d in client.destinations()] == [made.id]
+    assert client.change_destination(made.id, called_aet="OTHER").called_aet == "OTHER"
+    assert client.destination(made.id).revision == made.revision + 1
+    assert not client.echo(made.id).reachable
+    sent = client.deliver("archive", simulation_id=done, files=["volume.dcm"])
+    assert (sent.state, sent.instances_total) == ("queued", 1)
+    assert [d.id for d in client.deliveries(simulation_id=done, page_size=1)] == [sent.id]
+    assert [i.name for i in client.delivery_instances(sent.id, "waiting")] == ["volume.dcm"]
+    with pytest.raises(TimeoutError):
+        client.wait_for_delivery(sent.id, timeout_seconds=0)
+    assert client.cancel_delivery(sent.id).state == "cancelled"
+    assert client.wait_for_delivery(sent.id) == client.delivery(sent.id)
+    assert client.retry_delivery(sent.id).state == "queued"
+    client.cancel_delivery(sent.id)
+    client.delete_destination(made.id)
+    with pytest.raises(clients.InvalidRequestError):
+        client.submit({"name": "fine"}, deliver=["nowhere"])
 
 
 def test_a_broken_download_goes_on_where_it_broke(client, done: str, tmp_path: Path):

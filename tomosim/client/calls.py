@@ -13,12 +13,24 @@ import httpx
 from pydantic import BaseModel
 
 from api.catalog_resources import PresetList, PresetResource, ServiceInfo
+from api.delivery_resources import (
+    DeliveryPage,
+    DeliveryResource,
+    DestinationList,
+    DestinationResource,
+    EchoResource,
+    InstancePage,
+    NewDelivery,
+)
 from api.phantom_resources import PhantomList, PhantomResource
 from api.resources import ArtifactList, SimulationPage, SimulationResource
+from api.study_resources import CasePage, StudyEstimate, StudyPage, StudyResource
 from api.webhook_resources import CreatedWebhook, MessagePage, MessageResource, NewWebhook, WebhookList, WebhookResource
 from simcore.estimate import Estimate
 from simcore.phantom.upload.reading import Reading
 from simcore.spec import SimulationSpec
+from simcore.study.spec import StudySpec
+from worker.destination_spec import Destination
 
 T = TypeVar("T")
 M = TypeVar("M", bound=BaseModel)
@@ -26,6 +38,7 @@ M = TypeVar("M", bound=BaseModel)
 Json = dict[str, Any]
 
 Specification = SimulationSpec | Mapping[str, Any]
+Study = StudySpec | Mapping[str, Any]
 
 
 @dataclass(frozen=True)
@@ -53,32 +66,39 @@ def _nothing(response: httpx.Response) -> None:
 
 
 def _get(path: str, model: type[M], **params: Any) -> Call[M]:
-    return Call("GET", path, _model(model), {name: value for name, value in params.items() if value is not None})
+    return Call("GET", path, _model(model), _given(params))
 
 
-def _create(path: str, model: type[M], body: Any, key: str | None) -> Call[M]:
+def _create(path: str, model: type[M], body: Any, key: str | None, **params: Any) -> Call[M]:
     """A POST that makes something: with a key, so that it makes it once however often it is sent."""
     headers = {"Idempotency-Key": key or uuid.uuid4().hex}
-    return Call("POST", path, _model(model), json=body, headers=headers)
+    return Call("POST", path, _model(model), _given(params), json=body, headers=headers)
 
 
-def _act(path: str, model: type[M], *, repeatable: bool = False) -> Call[M]:
-    return Call("POST", path, _model(model), repeatable=repeatable)
+def _act(path: str, model: type[M], *, repeatable: bool = False, **params: Any) -> Call[M]:
+    return Call("POST", path, _model(model), _given(params), repeatable=repeatable)
+
+
+def _given(params: Json) -> Json:
+    return {name: value for name, value in params.items() if value is not None}
 
 
 def _part(text: str) -> str:
     return quote(text, safe="")
 
 
-def _json(specification: Specification) -> Any:
-    return specification.model_dump(mode="json") if isinstance(specification, SimulationSpec) else dict(specification)
+def _json(document: BaseModel | Mapping[str, Any]) -> Json:
+    return document.model_dump(mode="json") if isinstance(document, BaseModel) else dict(document)
 
 
 # Simulations
 
 
-def submit(specification: Specification, key: str | None = None) -> Call[SimulationResource]:
-    return _create("/v1/simulations", SimulationResource, _json(specification), key)
+def submit(
+    specification: Specification, deliver: list[Json], priority: str | None, device: str | None, key: str | None
+) -> Call[SimulationResource]:
+    body = _json(specification) | ({"deliver": deliver} if deliver else {})
+    return _create("/v1/simulations", SimulationResource, body, key, priority=priority, device=device)
 
 
 def estimate(specification: Specification) -> Call[Estimate]:
@@ -89,8 +109,8 @@ def simulation(identifier: str) -> Call[SimulationResource]:
     return _get(f"/v1/simulations/{_part(identifier)}", SimulationResource)
 
 
-def simulations(state: str | None, limit: int, cursor: str | None) -> Call[SimulationPage]:
-    return _get("/v1/simulations", SimulationPage, state=state, limit=limit, cursor=cursor)
+def simulations(state: str | None, study_id: str | None, limit: int, cursor: str | None) -> Call[SimulationPage]:
+    return _get("/v1/simulations", SimulationPage, state=state, study_id=study_id, limit=limit, cursor=cursor)
 
 
 def cancel(identifier: str) -> Call[SimulationResource]:
@@ -111,6 +131,46 @@ def artifacts(identifier: str) -> Call[ArtifactList]:
 
 def manifest(identifier: str) -> Call[Json]:
     return Call("GET", f"/v1/simulations/{_part(identifier)}/manifest", lambda response: response.json())
+
+
+# Studies
+
+
+def submit_study(study: Study, priority: str | None, device: str | None, key: str | None) -> Call[StudyResource]:
+    return _create("/v1/studies", StudyResource, _json(study), key, priority=priority, device=device)
+
+
+def estimate_study(study: Study) -> Call[StudyEstimate]:
+    return Call("POST", "/v1/studies/estimate", _model(StudyEstimate), json=_json(study))
+
+
+def study(identifier: str) -> Call[StudyResource]:
+    return _get(f"/v1/studies/{_part(identifier)}", StudyResource)
+
+
+def studies(limit: int, cursor: str | None) -> Call[StudyPage]:
+    return _get("/v1/studies", StudyPage, limit=limit, cursor=cursor)
+
+
+def study_cases(identifier: str, state: str | None, limit: int, cursor: str | None) -> Call[CasePage]:
+    return _get(f"/v1/studies/{_part(identifier)}/cases", CasePage, state=state, limit=limit, cursor=cursor)
+
+
+def cancel_study(identifier: str) -> Call[StudyResource]:
+    return _act(f"/v1/studies/{_part(identifier)}/cancel", StudyResource, repeatable=True)
+
+
+def retry_study(identifier: str, cancelled: bool) -> Call[StudyResource]:
+    return _act(f"/v1/studies/{_part(identifier)}/retry", StudyResource, cancelled=str(cancelled).lower())
+
+
+def delete_study(identifier: str) -> Call[None]:
+    return Call("DELETE", f"/v1/studies/{_part(identifier)}", _nothing)
+
+
+def study_manifest(identifier: str) -> Call[Json]:
+    path = f"/v1/studies/{_part(identifier)}/manifest"
+    return Call("GET", path, lambda response: response.json(), {"format": "json"})
 
 
 # Phantoms
@@ -187,3 +247,57 @@ def webhook_message(identifier: str, message_id: str) -> Call[MessageResource]:
 
 def replay_message(identifier: str, message_id: str) -> Call[MessageResource]:
     return _act(f"/v1/webhooks/{_part(identifier)}/messages/{_part(message_id)}/replay", MessageResource)
+
+
+# Destinations and deliveries
+
+
+def create_destination(destination: Destination) -> Call[DestinationResource]:
+    # The name is unique: what was made by a request whose answer was lost is found under it.
+    return Call("POST", "/v1/destinations", _model(DestinationResource), json=_json(destination), repeatable=False)
+
+
+def destinations() -> Call[DestinationList]:
+    return _get("/v1/destinations", DestinationList)
+
+
+def destination(identifier: str) -> Call[DestinationResource]:
+    return _get(f"/v1/destinations/{_part(identifier)}", DestinationResource)
+
+
+def change_destination(identifier: str, changes: Mapping[str, Any]) -> Call[DestinationResource]:
+    path = f"/v1/destinations/{_part(identifier)}"
+    headers = {"Content-Type": "application/merge-patch+json"}
+    return Call("PATCH", path, _model(DestinationResource), json=dict(changes), headers=headers)
+
+
+def delete_destination(identifier: str) -> Call[None]:
+    return Call("DELETE", f"/v1/destinations/{_part(identifier)}", _nothing)
+
+
+def echo(identifier: str) -> Call[EchoResource]:
+    return _act(f"/v1/destinations/{_part(identifier)}/echo", EchoResource, repeatable=True)
+
+
+def deliver(new: NewDelivery, key: str | None) -> Call[DeliveryResource]:
+    return _create("/v1/deliveries", DeliveryResource, new.model_dump(mode="json"), key)
+
+
+def delivery(identifier: str) -> Call[DeliveryResource]:
+    return _get(f"/v1/deliveries/{_part(identifier)}", DeliveryResource)
+
+
+def deliveries(asked: Json, limit: int, cursor: str | None) -> Call[DeliveryPage]:
+    return _get("/v1/deliveries", DeliveryPage, **asked, limit=limit, cursor=cursor)
+
+
+def delivery_instances(identifier: str, state: str | None, after: int | None) -> Call[InstancePage]:
+    return _get(f"/v1/deliveries/{_part(identifier)}/instances", InstancePage, state=state, after=after)
+
+
+def cancel_delivery(identifier: str) -> Call[DeliveryResource]:
+    return _act(f"/v1/deliveries/{_part(identifier)}/cancel", DeliveryResource, repeatable=True)
+
+
+def retry_delivery(identifier: str) -> Call[DeliveryResource]:
+    return _act(f"/v1/deliveries/{_part(identifier)}/retry", DeliveryResource)

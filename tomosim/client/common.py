@@ -14,6 +14,9 @@ run_in_thread = anyio.to_thread.run_sync
 
 DEFAULT_URL = "http://127.0.0.1:8080"
 
+LOOK_SECONDS = 1.0
+"""Pause between two looks at what has no events."""
+
 SILENT_SECONDS = 45.0
 """A stream of events shows a sign of life every quarter of a minute; one that does not is broken."""
 

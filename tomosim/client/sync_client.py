@@ -6,7 +6,7 @@ Made from ``async_client.py`` by ``python -m tomosim.client.twin``: change that 
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from types import TracebackType
@@ -15,19 +15,29 @@ from typing import IO, Any, Self, TypeVar
 import httpx
 
 from api.catalog_resources import PresetResource, ServiceInfo
+from api.delivery_resources import (
+    DeliveryResource,
+    DestinationName,
+    DestinationResource,
+    EchoResource,
+    InstanceResource,
+    NewDelivery,
+)
 from api.phantom_resources import PhantomResource
 from api.resources import ArtifactResource, SimulationResource
+from api.study_resources import CaseResource, StudyEstimate, StudyResource
 from api.webhook_resources import DEFAULT_EVENTS, CreatedWebhook, MessageResource, NewWebhook, WebhookResource
 from simcore.estimate import Estimate
 from simcore.phantom.upload.reading import Reading
 from simcore.spec import SimulationSpec
 from tomosim.client import calls, common, errors, files
-from tomosim.client.calls import Call, Json, Specification
+from tomosim.client.calls import Call, Json, Specification, Study
 from tomosim.client.common import Deadline
 from tomosim.client.files import Downloaded
 from tomosim.client.retrying import Retrying
 from tomosim.client.streams import CaseEvent, EventParser
-from worker.contract import FINAL_STATES, State, WebhookEvent
+from worker.contract import FINAL_STATES, Device, InstanceState, Priority, State, WebhookEvent
+from worker.destination_spec import Destination
 
 T = TypeVar("T")
 
@@ -72,9 +82,22 @@ class Client:
 
     # Simulations
 
-    def submit(self, specification: Specification, *, idempotency_key: str | None = None) -> SimulationResource:
-        """Queues a case. idempotency_key: two requests with the same key make one case; a new one where not given."""
-        return self._do(calls.submit(specification, idempotency_key))
+    def submit(
+        self,
+        specification: Specification,
+        *,
+        deliver: Sequence[str | Mapping[str, Any]] = (),
+        priority: Priority | None = None,
+        device: Device | None = None,
+        idempotency_key: str | None = None,
+    ) -> SimulationResource:
+        """Queues a case.
+
+        deliver: destinations that its files go to when it has succeeded: a name, or {"destination", "files"}.
+        idempotency_key: two requests with the same key make one case; a new key where not given.
+        """
+        wanted = [{"destination": one} if isinstance(one, str) else dict(one) for one in deliver]
+        return self._do(calls.submit(specification, wanted, priority, device, idempotency_key))
 
     def estimate(self, specification: Specification) -> Estimate:
         """What a case would need."""
@@ -84,9 +107,11 @@ class Client:
         """A case with its specification."""
         return self._do(calls.simulation(simulation_id))
 
-    def simulations(self, state: State | None = None, page_size: int = 100) -> Iterator[SimulationResource]:
+    def simulations(
+        self, state: State | None = None, study_id: str | None = None, page_size: int = 100
+    ) -> Iterator[SimulationResource]:
         """Cases, the newest first, page by page as they are needed."""
-        return self._pages(lambda cursor: calls.simulations(state, page_size, cursor))
+        return self._pages(lambda cursor: calls.simulations(state, study_id, page_size, cursor))
 
     def cancel(self, simulation_id: str) -> SimulationResource:
         """Stops a case."""
@@ -190,6 +215,76 @@ class Client:
                         raise errors.from_transport(self.url, error) from error
                     time.sleep(pause)
 
+    def download_archive(self, simulation_id: str, target: Path) -> int:
+        """Writes all files of a case as one zip archive; its size in bytes."""
+        return self._save(f"/v1/simulations/{simulation_id}/archive", target)
+
+    # Studies
+
+    def submit_study(
+        self,
+        study: Study,
+        *,
+        priority: Priority | None = None,
+        device: Device | None = None,
+        idempotency_key: str | None = None,
+    ) -> StudyResource:
+        """Queues all cases of a study, or none."""
+        return self._do(calls.submit_study(study, priority, device, idempotency_key))
+
+    def estimate_study(self, study: Study) -> StudyEstimate:
+        """What a study would need."""
+        return self._do(calls.estimate_study(study))
+
+    def study(self, study_id: str) -> StudyResource:
+        """A study with its counts."""
+        return self._do(calls.study(study_id))
+
+    def studies(self, page_size: int = 100) -> Iterator[StudyResource]:
+        """Studies, the newest first."""
+        return self._pages(lambda cursor: calls.studies(page_size, cursor))
+
+    def study_cases(self, study_id: str, state: State | None = None, page_size: int = 200) -> Iterator[CaseResource]:
+        """The cases of a study in the order of their numbers."""
+        return self._pages(lambda cursor: calls.study_cases(study_id, state, page_size, cursor))
+
+    def wait_for_study(
+        self,
+        study_id: str,
+        watch: Callable[[StudyResource], object] | None = None,
+        timeout_seconds: float | None = None,
+    ) -> StudyResource:
+        """The study when all its cases have ended; ``watch`` is called with every look. raises: TimeoutError"""
+        deadline = Deadline(timeout_seconds)
+        while True:
+            found = self.study(study_id)
+            if watch is not None:
+                watch(found)
+            if found.finished_cases == found.cases:
+                return found
+            deadline.check(study_id)
+            time.sleep(common.LOOK_SECONDS)
+
+    def cancel_study(self, study_id: str) -> StudyResource:
+        """Stops all cases that have not ended."""
+        return self._do(calls.cancel_study(study_id))
+
+    def retry_study(self, study_id: str, *, cancelled: bool = False) -> StudyResource:
+        """Queues the failed cases again, and where asked for the cancelled ones."""
+        return self._do(calls.retry_study(study_id, cancelled))
+
+    def delete_study(self, study_id: str) -> None:
+        """Forgets a study and its cases."""
+        self._do(calls.delete_study(study_id))
+
+    def study_manifest(self, study_id: str) -> Json:
+        """Every case with its coordinates, results and files."""
+        return self._do(calls.study_manifest(study_id))
+
+    def download_study_archive(self, study_id: str, target: Path) -> int:
+        """Writes the files of all cases that succeeded as one zip archive; its size in bytes."""
+        return self._save(f"/v1/studies/{study_id}/archive", target)
+
     # Phantoms
 
     def upload_phantom(
@@ -267,7 +362,110 @@ class Client:
         """Sends a message again."""
         return self._do(calls.replay_message(webhook_id, message_id))
 
+    # Destinations and deliveries
+
+    def create_destination(self, destination: Destination) -> DestinationResource:
+        """Makes a destination; for administrators."""
+        return self._do(calls.create_destination(destination))
+
+    def destinations(self) -> list[DestinationResource | DestinationName]:
+        """All destinations; their names alone, for those who are no administrators."""
+        return self._do(calls.destinations()).items
+
+    def destination(self, destination_id: str) -> DestinationResource:
+        """One destination."""
+        return self._do(calls.destination(destination_id))
+
+    def change_destination(self, destination_id: str, **changes: Any) -> DestinationResource:
+        """Changes the fields that are given; None takes one back to its default."""
+        return self._do(calls.change_destination(destination_id, changes))
+
+    def delete_destination(self, destination_id: str) -> None:
+        """Forgets a destination."""
+        self._do(calls.delete_destination(destination_id))
+
+    def echo(self, destination_id: str) -> EchoResource:
+        """Whether a destination answers, and what it takes."""
+        return self._do(calls.echo(destination_id))
+
+    def deliver(
+        self,
+        destination: str,
+        *,
+        simulation_id: str | None = None,
+        study_id: str | None = None,
+        files: Sequence[str] = (),
+        series: Sequence[str] = (),
+        idempotency_key: str | None = None,
+    ) -> DeliveryResource:
+        """Sends a case, or the cases of a study that have succeeded, to a destination (its identifier or name)."""
+        new = NewDelivery(
+            destination=destination,
+            simulation_id=simulation_id,
+            study_id=study_id,
+            files=list(files),
+            series=list(series),
+        )
+        return self._do(calls.deliver(new, idempotency_key))
+
+    def delivery(self, delivery_id: str) -> DeliveryResource:
+        """A delivery with its first instances."""
+        return self._do(calls.delivery(delivery_id))
+
+    def deliveries(
+        self,
+        state: State | None = None,
+        *,
+        simulation_id: str | None = None,
+        study_id: str | None = None,
+        destination_id: str | None = None,
+        page_size: int = 100,
+    ) -> Iterator[DeliveryResource]:
+        """Deliveries, the newest first."""
+        asked = {
+            "state": state,
+            "simulation_id": simulation_id,
+            "study_id": study_id,
+            "destination_id": destination_id,
+        }
+        return self._pages(lambda cursor: calls.deliveries(asked, page_size, cursor))
+
+    def delivery_instances(self, delivery_id: str, state: InstanceState | None = None) -> Iterator[InstanceResource]:
+        """The files of a delivery and how far each has come."""
+        return self._pages(lambda after: calls.delivery_instances(delivery_id, state, after))
+
+    def wait_for_delivery(self, delivery_id: str, timeout_seconds: float | None = None) -> DeliveryResource:
+        """The delivery in its final state, whichever that is. raises: TimeoutError"""
+        deadline = Deadline(timeout_seconds)
+        while (found := self.delivery(delivery_id)).state not in FINAL_STATES:
+            deadline.check(delivery_id)
+            time.sleep(common.LOOK_SECONDS)
+        return found
+
+    def cancel_delivery(self, delivery_id: str) -> DeliveryResource:
+        """Stops a delivery; what was stored stays stored."""
+        return self._do(calls.cancel_delivery(delivery_id))
+
+    def retry_delivery(self, delivery_id: str) -> DeliveryResource:
+        """Sends again what was not stored."""
+        return self._do(calls.retry_delivery(delivery_id))
+
     # How it is done
+
+    def _save(self, path: str, target: Path) -> int:
+        """Writes an answer that cannot be gone on with to a file, whole or not at all."""
+        target.parent.mkdir(parents=True, exist_ok=True)
+        partial = target.with_name(target.name + ".partial")
+        with open(partial, "wb") as file:
+            try:
+                with self._open("GET", path) as response:
+                    for chunk in response.iter_bytes():
+                        file.write(chunk)
+            except httpx.HTTPError as error:
+                partial.unlink()
+                raise errors.from_transport(self.url, error) from error
+        partial.replace(target)
+        return target.stat().st_size
 
     def _do(
         self, call: Call[T], content: Callable[[], Iterator[bytes]] | None = None, repeatable: bool | None = None
@@ -298,7 +496,7 @@ class Client:
                     raise errors.from_response(response)
             time.sleep(pause)
 
-    def _pages(self, page: Callable[[str | None], Call[Any]]) -> Iterator[Any]:
+    def _pages(self, page: Callable[[Any], Call[Any]]) -> Iterator[Any]:
         cursor = None
         while True:
             found = self._do(page(cursor))

@@ -18,8 +18,8 @@ REPLACEMENTS = (
     (r'\A""".*?"""\n', HEAD.replace("\\", r"\\")),
     (r"import anyio\n", ""),
     (
-        r"from collections\.abc import AsyncIterator, Callable, Mapping",
-        "from collections.abc import Callable, Iterator, Mapping",
+        r"from collections\.abc import AsyncIterator, Callable, Mapping, Sequence",
+        "from collections.abc import Callable, Iterator, Mapping, Sequence",
     ),
     (r"from __future__ import annotations\n\n", "from __future__ import annotations\n\nimport time\n"),
     (r"await anyio\.sleep", "time.sleep"),
