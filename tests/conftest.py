@@ -22,7 +22,6 @@ from worker.database import connect, create_tables
 from worker.tables import metadata
 
 
-
 def pytest_addoption(parser: pytest.Parser) -> None:
     parser.addoption("--production", action="store_true", help="on PostgreSQL, S3 and redis-server, what uses them")
 
