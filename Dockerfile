@@ -27,4 +27,7 @@ WORKDIR /data
 USER 10001:10001
 EXPOSE 8080
 VOLUME /data
+# Of the default command; compose has its own for each service.
+HEALTHCHECK --interval=15s --timeout=6s --start-period=60s \
+    CMD ["python", "-c", "import urllib.request; urllib.request.urlopen('http://127.0.0.1:8080/livez', timeout=5)"]
 CMD ["tomosim", "serve"]

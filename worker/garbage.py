@@ -1,8 +1,8 @@
 """Collection of garbage in the stage store: mark what is needed, sweep what was unused for a grace period.
 
-Needed are the stages of every simulation whose files are kept, and uploaded phantoms. What was written or asked for
-within the grace period stays whatever it is: a case that runs finds what it has found once. The store keeps removing
-and using apart (``Store.remove_record``); several collections at once do no harm.
+Needed are the stages of every simulation whose files are kept, files that are to be delivered, and uploaded phantoms.
+What was written or asked for within the grace period stays whatever it is: a case that runs finds what it has found
+once. The store keeps removing and using apart (``Store.remove_record``); several collections at once do no harm.
 """
 
 from __future__ import annotations
@@ -19,7 +19,9 @@ import sqlalchemy as sa
 from simcore.core.store import Store
 from simcore.phantom.upload import registry
 from worker.chores import Chores
+from worker.contract import FINAL_STATES
 from worker.database import reading, simulations
+from worker.deliveries import deliveries, instances
 from worker.retention import Retention, unexpired
 from worker.settings import Settings
 
@@ -73,7 +75,7 @@ def collect(engine: sa.Engine, store: Store, grace_seconds: float, now: float, d
 
 
 def _needed(engine: sa.Engine, now: float) -> tuple[set[str], set[str]]:
-    """Keys of the records and digests of the objects of all simulations whose files are kept."""
+    """Keys of the records and digests of the objects of simulations whose files are kept, or under way to somebody."""
     keys: set[str] = set()
     digests: set[str] = set()
     for manifest in _manifests(engine, unexpired(now)):
@@ -81,6 +83,10 @@ def _needed(engine: sa.Engine, now: float) -> tuple[set[str], set[str]]:
         for stage in manifest.get("stages", ()):
             keys.add(stage["key"])
             digests |= {ref["sha256"] for ref in stage.get("outputs", {}).values()}
+    underway = deliveries.c.state.not_in(FINAL_STATES)
+    sent = sa.select(instances.c.sha256).join(deliveries, deliveries.c.id == instances.c.delivery_id).where(underway)
+    with reading(engine) as connection:
+        digests |= set(connection.scalars(sent))
     return keys, digests
 
 
