@@ -88,7 +88,13 @@ def estimate(spec: SimulationSpec) -> Estimate:
     mesh_seconds = MESH_SECONDS_PER_TETRAHEDRON[spec.mesh.kind] * tets
     held = spec.phantom.voxels_held
     memory = BYTES_BASE + held + after + BYTES_PER_TETRAHEDRON * tets + 2 * stack + 2 * volume + max(after, 4 * stack)
-    output = 4 * stack + 2 * volume + 0.02 * volume + 5e6
+    further = {
+        "presentation": 2 * stack,
+        "synthetic-2d": 2 * pixels * scale**2,
+        "ct": 2 * volume,
+        "attenuation": 4 * volume,
+    }
+    output = 4 * stack + 2 * volume + 0.02 * volume + 5e6 + sum(further.get(e, 0) for e in spec.export.extra_objects)
     storage = output + 0.05 * (before + after) + 2 * stack + 2 * volume
     seconds = 2.0 + (before + 2 * after) / 150e6 + mesh_seconds + stack * 8e-8 + volume * a.views * 1e-9 + output / 3e8
     return Estimate(
