@@ -5,6 +5,7 @@ import re
 from dataclasses import asdict
 from pathlib import Path
 
+import pydicom
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -188,6 +189,7 @@ def test_multipart_has_the_length_it_announces(client, case):
     for url in (case.url(VOLUME), f"{case.url(VOLUME)}/frames/1,3", f"/dicomweb/studies/{case.study}"):
         answer = client.get(url)
         assert len(answer.content) == int(answer.headers["content-length"])
+        assert answer.headers["vary"] == "Accept"
         boundary = re.search("boundary=(.+)$", answer.headers["content-type"])[1]
         assert answer.content.startswith(f"--{boundary}\r\nContent-Type: application/".encode())
         assert answer.content.endswith(f"\r\n--{boundary}--\r\n".encode())
@@ -282,7 +284,12 @@ def test_keys(client, case, served, is_problem):
 def test_two_cases_with_the_same_study(client, add_case, exported, served):
     first, second = add_case(exported(seed=7), "first"), add_case(exported(seed=7), "second")
     params = {"StudyInstanceUID": first.study}
-    for case in (second, first):
+    between = add_case(exported(seed=5, laterality="R"), "between")
+    third = add_case(exported(seed=7), "third")
+    newest = [item["0020000D"]["Value"][0] for item in client.get("/dicomweb/studies?limit=2").json()]
+    assert newest == [first.study, between.study]
+    served.jobs.delete(between.id)
+    for case in (third, second, first):
         (study,) = client.get("/dicomweb/studies", params=params).json()
         assert study["00201208"]["Value"] == [len(first.datasets)]
         assert len(client.get("/dicomweb/instances", params=params).json()) == len(first.datasets)
@@ -303,6 +310,19 @@ def test_a_case_whose_files_are_gone(client, add_case, exported, served, is_prob
         is_problem(client.get(case.url(VOLUME) + what), 410, "expired")
     is_problem(client.get(f"/dicomweb/studies/{case.study}"), 410, "expired")
     assert client.get(f"{case.url(LABELS)}/metadata").status_code == 200
+    served.jobs.delete(case.id)
+
+
+def test_a_study_without_a_date_lies_in_no_range(client, add_case, exported, served, tmp_path):
+    dataset = pydicom.dcmread(exported() / VOLUME)
+    dataset.StudyInstanceUID, dataset.StudyDate = "1.2.4", ""
+    dataset.save_as(tmp_path / VOLUME)
+    case = add_case(tmp_path, "undated")
+    found = [
+        client.get("/dicomweb/studies", params={"StudyInstanceUID": "1.2.4", "StudyDate": date}).json()
+        for date in ("", "-20991231", "19000101-")
+    ]
+    assert [len(studies) for studies in found] == [1, 0, 0]
     served.jobs.delete(case.id)
 
 
