@@ -60,7 +60,7 @@ def create(
     row = _made_before(served, making.identifier) if making.again else None
     if row is None:
         needs = _check(specification, served)
-        served.store.require_space(needs.storage_bytes)
+        served.store.require_room(needs.storage_bytes)
         name = specification.name.replace("\0", "")
         row = served.jobs.create(
             data,

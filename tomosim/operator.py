@@ -1,4 +1,4 @@
-"""``tomosim db``, ``tomosim gc``: what an operator runs by hand, with the settings of the environment."""
+"""``tomosim db``, ``store``, ``gc``: what an operator runs by hand, with the settings of the environment."""
 
 from __future__ import annotations
 
@@ -22,6 +22,13 @@ def add_commands(commands: Any) -> None:
     p.set_defaults(run=_on_database(_downgrade))
     p = of_database.add_parser("current", help="revision of the database, and the one this program needs")
     p.set_defaults(run=_on_database(_current))
+
+    of_store = commands.add_parser("store", help="the stage store: try it out").add_subparsers(
+        title="commands", required=True, metavar="COMMAND"
+    )
+    p = of_store.add_parser("check", help="whether the store can be used (TOMOSIM_STORE_URL, or the data folder)")
+    p.add_argument("--make", action="store_true", help="make the bucket where there is none")
+    p.set_defaults(run=_check_store)
 
     p = commands.add_parser("gc", help="remove from the store what no case needs any more")
     p.add_argument("--dry-run", action="store_true", help="only say what would be removed")
@@ -85,3 +92,10 @@ def _collect(engine: sa.Engine, args: argparse.Namespace) -> None:
         f"{'would remove' if args.dry_run else 'removed'} {done.records} stages and {done.objects} files "
         f"({done.size / 1e9:.2f} GB); {done.kept_objects} files ({done.kept_size / 1e9:.2f} GB) stay"
     )
+
+
+def _check_store(args: argparse.Namespace) -> None:
+    from worker.settings import Settings
+    from worker.store_check import check
+
+    print(check(Settings.load(), args.make))

@@ -66,7 +66,7 @@ def create(
     row = _made_before(served, making.identifier) if making.again else None
     if row is None:
         checked = check(study, served)
-        served.store.require_space(checked.needs.storage_bytes)
+        served.store.require_room(checked.needs.storage_bytes)
         document = study.model_dump(mode="json")
         row = served.studies.create(
             study.name,

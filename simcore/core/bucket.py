@@ -173,6 +173,20 @@ class Bucket:
                         Bucket=self._name, Key=upload["Key"], UploadId=upload["UploadId"]
                     )
 
+    def make(self) -> None:
+        """Makes the bucket where there is none."""
+        with self._errors():
+            try:
+                region = self._client.meta.region_name
+                elsewhere = {} if region == "us-east-1" else {"LocationConstraint": region}
+                where = {"CreateBucketConfiguration": elsewhere} if elsewhere else {}
+                self._client.create_bucket(Bucket=self._name, **where)
+            except (
+                self._client.exceptions.BucketAlreadyOwnedByYou,
+                self._client.exceptions.BucketAlreadyExists,
+            ):
+                pass
+
     def check(self) -> None:
         """raises: StoreError where the bucket is not there or may not be used."""
         with self._errors():

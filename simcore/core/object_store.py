@@ -101,6 +101,9 @@ class ObjectStore(Store):
         pieces = self._bucket.stream(_object_name(ref.sha256), start, length)
         yield from _verified(ref, pieces) if (start, length) == (0, ref.size) else pieces
 
+    def require_room(self, needed: int) -> None:
+        self.require_space(0)  # what the bucket holds is not known; the cache makes room for itself
+
     def add(self, path: Path, ref: FileRef | None = None) -> FileRef:
         ref = super().add(path, ref)
         self._upload(ref)

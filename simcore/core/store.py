@@ -253,6 +253,10 @@ class Store:
                 code="storage-full",
             )
 
+    def require_room(self, needed: int) -> None:
+        """As ``require_space``, for results of ``needed`` bytes wherever the store keeps them."""
+        self.require_space(needed)
+
     def add(self, path: Path, ref: FileRef | None = None) -> FileRef:
         """Moves a file of the same disk into the store. ref: of the file, where it is known already."""
         ref = ref or file_ref(path)

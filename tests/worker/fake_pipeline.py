@@ -5,6 +5,7 @@ silent    sleeps and tells nothing            noise     prints to standard outpu
 crash     kills its own process (SIGSEGV)     memory    asks for more memory than there is
 gigabyte  fills a gigabyte of memory          refuse    raises a SolverError
 mistake   raises a KeyError                   exit      ends its own process
+large     writes 24 MB
 """
 
 import json
@@ -62,6 +63,8 @@ def run(spec: Any, store: Store, progress: Any) -> Result:
 def work(stage: str, spec: Any, folder: Path, progress: Any) -> tuple[dict[str, Any], float, int]:
     if stage == STAGES[-1]:
         misbehave(spec.name, progress)
+        if spec.name == "large":
+            (folder / "large").write_bytes(os.urandom(24 << 20))
     for name, content in FILES[stage].items():
         (folder / name).parent.mkdir(parents=True, exist_ok=True)
         (folder / name).write_bytes(content + str(spec.seed).encode())
