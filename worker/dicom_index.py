@@ -1,13 +1,14 @@
 """Index of the DICOM objects of all cases: what DICOMweb searches, and where it finds an instance.
 
-Unique identifiers hang on the content, so two cases that hold the same study hold the same files: the newest one is
-shown.
+Unique identifiers hang on the content, so two cases that hold the same study hold the same files: the newest one
+that has not expired is shown.
 """
 
 from __future__ import annotations
 
+import time
 from collections import defaultdict
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import asdict, dataclass
 from typing import Any
 
@@ -17,6 +18,7 @@ from sqlalchemy.exc import IntegrityError
 from simcore.core.store import FileRef
 from worker.database import reading, simulations
 from worker.dicom_tables import KEYS, TABLES, Level, indexed, instances, series, studies
+from worker.retention import ExpiredError, unexpired
 
 Json = dict[str, Any]
 
@@ -106,20 +108,22 @@ class Entry:
 class DicomIndex:
     """Repository of the index."""
 
-    def __init__(self, engine: sa.Engine) -> None:
+    def __init__(self, engine: sa.Engine, clock: Callable[[], float] = time.time) -> None:
         self.engine = engine
+        self.clock = clock
 
-    def missing(self) -> list[tuple[str, Json]]:
-        """(identifier, manifest) of the oldest case that succeeded and is not in the index; empty where all are."""
+    def missing(self) -> tuple[str, Json] | None:
+        """(identifier, manifest) of the oldest case that succeeded and is not in the index; None where all are."""
         known = sa.select(indexed.c.simulation_id)
         query = (
             sa.select(simulations.c.id, simulations.c.manifest)
-            .where(simulations.c.state == "succeeded", simulations.c.id.not_in(known))
+            .where(simulations.c.state == "succeeded", unexpired(self.clock()), simulations.c.id.not_in(known))
             .order_by(simulations.c.created)
             .limit(1)
         )
         with reading(self.engine) as connection:
-            return [(row.id, row.manifest) for row in connection.execute(query)]
+            row = connection.execute(query).one_or_none()
+        return None if row is None else (row.id, row.manifest)
 
     def add(self, simulation_id: str, entries: Iterable[Entry], problem: str | None = None) -> bool:
         """Puts the objects of a case into the index; False where another process has, or the case is gone."""
@@ -138,7 +142,7 @@ class DicomIndex:
     def search(self, level: Level, conditions: Sequence[Condition], limit: int, offset: int) -> tuple[list[Found], int]:
         """The results number offset .. offset + limit, the newest study first, and how many there are in all."""
         clauses = [_clause(level, condition) for condition in conditions]
-        base = _joined(level).where(_shown(), *clauses)
+        base = _joined(level).where(_shown(self.clock()), *clauses)
         columns: list[sa.ColumnElement[Any]] = [
             TABLES[name].c.attributes.label(f"{name}_attributes") for name in _down_to(level)
         ]
@@ -158,8 +162,19 @@ class DicomIndex:
         return found, total
 
     def instances(self, study: str, series_uid: str | None = None, instance: str | None = None) -> list[Instance]:
-        """The objects of a study, of one of its series or one object; empty where there is none."""
-        query = _joined("instance").where(_shown(), studies.c.uid == study)
+        """The objects of a study, of one of its series or one object; empty where there is none.
+
+        raises: ExpiredError where there was.
+        """
+        found = self._instances(_shown(self.clock()), study, series_uid, instance)
+        if not found and self._instances(sa.true(), study, series_uid, instance):
+            raise ExpiredError(f"the files of study {study}")
+        return found
+
+    def _instances(
+        self, which: sa.ColumnElement[bool], study: str, series_uid: str | None, instance: str | None
+    ) -> list[Instance]:
+        query = _joined("instance").where(which, studies.c.uid == study)
         if series_uid is not None:
             query = query.where(series.c.uid == series_uid)
         if instance is not None:
@@ -198,9 +213,12 @@ def _joined(level: Level) -> sa.Select[Any]:
     return sa.select().select_from(joined)
 
 
-def _shown() -> sa.ColumnElement[bool]:
-    """Of cases that hold the same study, the one that came last."""
-    return studies.c.id.in_(sa.select(sa.func.max(studies.c.id)).group_by(studies.c.uid))
+def _shown(now: float) -> sa.ColumnElement[bool]:
+    """Of the cases that hold the same study and have not expired, the one that came last."""
+    other = studies.alias()
+    kept = sa.join(other, simulations, other.c.simulation_id == simulations.c.id)
+    newest = sa.select(sa.func.max(other.c.id)).select_from(kept).where(unexpired(now)).group_by(other.c.uid)
+    return studies.c.id.in_(newest)
 
 
 def _clause(level: Level, condition: Condition) -> sa.ColumnElement[bool]:

@@ -10,6 +10,7 @@ from typing import Any
 from pydicom.datadict import tag_for_keyword
 from pydicom.dataset import Dataset
 
+from simcore.core.errors import StoreError
 from simcore.core.store import FileRef, Store
 from worker.dicom_files import open_stored, read_header
 from worker.dicom_index import LEVELS, DicomIndex, Entry, Json
@@ -68,10 +69,17 @@ class Indexer:
         """Puts every case that succeeded into the index, the oldest first: what came last is shown first."""
         if not self.index.missing() or not self._filling.acquire(timeout=WAIT_SECONDS):
             return
+        done = set()
         try:
             while (missing := self.index.missing()) and not self._stopping.is_set():
-                for identifier, manifest in missing:
-                    self._add(identifier, manifest)
+                identifier, manifest = missing
+                if identifier in done:
+                    raise RuntimeError(f"the case {identifier} cannot be put into the DICOM index")
+                done.add(identifier)
+                self._add(identifier, manifest)
+        except StoreError:
+            # What is there already can be searched all the same.
+            log.exception("the store does not answer: the DICOM index is not complete")
         finally:
             self._filling.release()
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import suppress
 from typing import Annotated
 
 from fastapi import Depends, Path, Request
@@ -10,8 +11,9 @@ from api.auth import Read
 from api.deps import Services
 from api.dicomweb.query import UID
 from api.errors import MAX_SHOWN, ApiError
-from worker.dicom_index import DicomIndex, Instance
+from worker.dicom_index import Instance
 from worker.dicom_indexer import Indexer
+from worker.retention import ExpiredError
 
 PREFIX = "/dicomweb"
 
@@ -73,12 +75,13 @@ def resource_url(request: Request, study: str, series: str | None = None, instan
 
 
 def find(indexing: Indexer, study: str, series: str | None = None, instance: str | None = None) -> list[Instance]:
-    """The objects of a resource. raises: ApiError 404 where there is none"""
-    index: DicomIndex = indexing.index
-    found = index.instances(study, series, instance)
+    """The objects of a resource. raises: ApiError 404 where there is none, ExpiredError (410)"""
+    found: list[Instance] = []
+    with suppress(ExpiredError):
+        found = indexing.index.instances(study, series, instance)
     if not found:
         indexing.catch_up()  # of a case that has just succeeded
-        found = index.instances(study, series, instance)
+        found = indexing.index.instances(study, series, instance)
     if not found:
         kind = "instance" if instance else "series" if series else "study"
         raise ApiError(404, f"{kind}-not-found", f"there is no {kind} {instance or series or study}")

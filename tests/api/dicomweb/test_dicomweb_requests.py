@@ -13,6 +13,8 @@ from hypothesis import strategies as st
 from api.dicomweb import query
 from api.dicomweb.metadata import BULK_BYTES
 from api.dicomweb.rendered import THUMBNAIL
+from simcore.core.errors import StoreError
+from worker.database import simulations
 from worker.dicom_index import Condition
 from worker.dicom_indexer import MAX_ATTRIBUTE_CHARACTERS, Indexer
 from worker.dicom_tables import KEYS
@@ -313,6 +315,43 @@ def test_a_case_whose_files_are_gone(client, add_case, exported, served, is_prob
     served.jobs.delete(case.id)
 
 
+def test_a_case_that_has_expired(client, add_case, exported, served, is_problem):
+    def expire(case):
+        with served.jobs.engine.begin() as connection:
+            connection.execute(simulations.update().where(simulations.c.id == case.id).values(expires_at=1.0))
+
+    first, second = add_case(exported(seed=9), "first"), add_case(exported(seed=9), "second")
+    params = {"StudyInstanceUID": first.study}
+    assert len(client.get("/dicomweb/studies", params=params).json()) == 1
+    expire(second)
+    assert len(client.get("/dicomweb/studies", params=params).json()) == 1  # of the first one
+    assert client.get(f"{first.url(VOLUME)}/metadata").status_code == 200
+    expire(first)
+    assert client.get("/dicomweb/studies", params=params).json() == []
+    assert client.get("/dicomweb/instances", params=params).json() == []
+    is_problem(client.get(f"{first.url(VOLUME)}/metadata"), 410, "expired")
+    is_problem(client.get(f"/dicomweb/studies/{first.study}"), 410, "expired")
+    third = add_case(exported(seed=9), "third")  # posted again: found without a search before
+    assert client.get(f"{first.url(VOLUME)}/metadata").status_code == 200
+    for case in (first, second, third):
+        served.jobs.delete(case.id)
+
+
+def test_the_store_does_not_answer(client, case, add_case, exported, served, monkeypatch):
+    late = add_case(exported(seed=10), "late")
+
+    def refuse(*_):
+        raise StoreError("the bucket does not answer")
+
+    with monkeypatch.context() as patch:
+        patch.setattr(type(served.store), "stream", refuse)
+        known = [item["0020000D"]["Value"][0] for item in client.get("/dicomweb/studies").json()]
+    assert case.study in known
+    assert late.study not in known
+    assert len(client.get("/dicomweb/studies", params={"StudyInstanceUID": late.study}).json()) == 1
+    served.jobs.delete(late.id)
+
+
 def test_a_study_without_a_date_lies_in_no_range(client, add_case, exported, served, tmp_path):
     dataset = pydicom.dcmread(exported() / VOLUME)
     dataset.StudyInstanceUID, dataset.StudyDate = "1.2.4", ""
@@ -335,7 +374,7 @@ def test_files_that_are_no_dicom(client, served, tmp_path):
     served.jobs.succeed(posted["id"], "test", {"files": files, "stages": []})
     before = len(client.get("/dicomweb/studies").json())
     assert len(client.get("/dicomweb/studies").json()) == before
-    assert client.app.state.dicom_indexer.index.missing() == []
+    assert client.app.state.dicom_indexer.index.missing() is None
 
 
 def test_thumbnails(client, case):
