@@ -132,7 +132,12 @@ class DicomIndex:
             grouped[entry.columns["study"]["uid"]][entry.columns["series"]["uid"]].append(entry)
         try:
             with self.engine.begin() as connection:
-                connection.execute(indexed.insert().values(simulation_id=simulation_id, problem=problem))
+                case = sa.select(simulations.c.id, sa.literal(problem, sa.Text)).where(
+                    simulations.c.id == simulation_id
+                )
+                marked = indexed.insert().from_select(["simulation_id", "problem"], case)
+                if not connection.execute(marked).rowcount:
+                    return False
                 for by_series in grouped.values():
                     _add_study(connection, simulation_id, by_series)
         except IntegrityError:
