@@ -34,6 +34,7 @@ from api.dicomweb.cors import ViewerOrigins
 from api.guard import Guard
 from api.requests import Requests
 from api.resources import PREFIX
+from api.slow import SlowBodies
 from simcore import __version__
 from simcore.spec import SimulationSpec
 from simcore.study import StudySpec
@@ -89,6 +90,7 @@ def create_app(settings: Settings | None = None, messenger: Messenger | None = N
         },
     )
     errors.install(app)
+    app.add_middleware(SlowBodies)
     app.add_middleware(Guard)
     if chosen.viewer_origins:
         app.add_middleware(ViewerOrigins, origins=chosen.viewer_origins)

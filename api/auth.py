@@ -9,6 +9,7 @@ from __future__ import annotations
 import base64
 import binascii
 import hmac
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Annotated
@@ -45,15 +46,33 @@ ADMIN = Principal("admin", "key of the settings", frozenset(SCOPES), active_case
 
 
 def authenticate(request: Request) -> Principal:
-    """Who asks. raises: ApiError 401, or 403 where a foreign page may stand behind a request without a key"""
+    """Who asks. raises: ApiError 401, 429, or 403 where a foreign page may stand behind a request without a key"""
     known: Principal | None = getattr(request.state, "principal", None)
     if known is not None:
         return known
     served = services(request)
-    secret = _secret(request.headers.get("authorization"))
-    principal = _without_key(request, served) if secret is None else _with_key(secret, served)
+    try:
+        secret = _secret(request.headers.get("authorization"))
+        principal = _without_key(request, served) if secret is None else _with_key(secret, served)
+    except ApiError:
+        _take(served, f"address/{request.client.host if request.client else 'local'}")
+        raise
+    if principal is not LOCAL:
+        _take(served, f"key/{principal.id}")
     request.state.principal = principal
     return principal
+
+
+def _take(served: Services, bucket: str) -> None:
+    """raises: ApiError 429 where requests come too fast"""
+    if wait := served.rates.take(bucket):
+        seconds = max(1, math.ceil(wait))
+        raise ApiError(
+            429,
+            "rate-limit",
+            f"more than {served.rates.per_second:g} requests a second: wait {seconds} s",
+            headers={"Retry-After": str(seconds)},
+        )
 
 
 Caller = Annotated[Principal, Depends(authenticate)]

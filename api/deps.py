@@ -11,6 +11,7 @@ from typing import Annotated, Any
 from fastapi import Depends, Request
 
 from api.errors import ApiError
+from api.rates import Rates
 from simcore.core.store import Store
 from simcore.spec import SimulationSpec
 from worker import schema
@@ -39,6 +40,7 @@ class Services:
     idempotency: Idempotency
     fleet: Fleet
     keys: Keys
+    rates: Rates
     messenger: Messenger
     store: Store
 
@@ -60,6 +62,7 @@ class Services:
             Idempotency(engine, settings.idempotency_seconds),
             Fleet(engine),
             keys,
+            Rates(settings),
             messenger or CeleryMessenger(settings),
             open_store(settings),
         )
@@ -86,6 +89,7 @@ class Services:
 
     def close(self) -> None:
         self.jobs.engine.dispose()
+        self.rates.close()
 
 
 def services(request: Request) -> Services:

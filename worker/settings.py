@@ -80,6 +80,10 @@ class Settings(BaseSettings):
     quota_cases_per_day: int = Field(
         0, ge=0, description="cases an API key may post within 24 hours, unless it has its own quota; 0: any"
     )
+    rate_per_second: float = Field(
+        50.0, ge=0, description="requests a second of an API key, or of an address whose key is refused; 0: any number"
+    )
+    rate_burst: int = Field(200, ge=1, description="requests that may come at once after a pause")
     worker_slots: int = Field(1, ge=1, le=64, description="cases one worker computes at a time")
     queues: str = Field(
         "interactive,batch", description="queues of cases that a worker serves, the first that has a message first"
