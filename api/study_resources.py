@@ -55,6 +55,7 @@ class CaseResource(BaseModel):
     number: int
     id: str
     name: str
+    folder: str = Field(description="where its files lie in archives and downloads of the study")
     state: State
     coordinates: dict[str, Any] = Field(description="value or label on every axis")
     attempt: int

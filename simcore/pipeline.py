@@ -8,22 +8,25 @@ a sweep over acquisitions grows and compresses its phantom once.
 
 from __future__ import annotations
 
+import hashlib
 import json
 import platform
 import sys
 import time
 from collections.abc import Callable
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from functools import cached_property
 from importlib import metadata
 from pathlib import Path
 from typing import Any, Generic, Protocol, TypeVar
 
+import numpy as np
+
 from simcore import __version__, dicom, fem, mesh, phantom, preview, projection, reconstruction, warp
 from simcore.core import files, memory
 from simcore.core.artifacts import Compression, Phantom, ProjectionStack, Report, TetMesh, Volume
 from simcore.core.progress import Progress
-from simcore.core.store import Commits, FileRef, StageRecord, Store, digest
+from simcore.core.store import Commits, FileRef, StageRecord, Store, canonical, digest
 from simcore.dicom.spec import ExportSpec
 from simcore.fem.materials import MaterialSpec
 from simcore.phantom.upload import registry
@@ -33,7 +36,7 @@ from simcore.spec import SimulationSpec
 STAGES = ("phantom", "mesh", "fem", "warp", "projection", "reconstruction", "dicom", "mechanics", "preview")
 
 # Raised whenever a stage gives other bytes for the same specification: old results then no longer match.
-VERSIONS = {**dict.fromkeys(STAGES, 1), "projection": 2, "dicom": 2}
+VERSIONS = {**dict.fromkeys(STAGES, 1), "phantom": 2, "projection": 2, "dicom": 2}
 
 # Outputs that a client gets; the others (label volume, mesh, displacement, ...) stay in the store.
 PUBLIC_STAGES = ("dicom", "mechanics", "preview")
@@ -101,12 +104,15 @@ class _Run:
         self,
         name: str,
         parameters: Any,
-        inputs: dict[str, StageResult[Any]],
+        inputs: dict[str, StageResult[Any] | str],
         compute: Callable[[Progress], T],
         save: Callable[[Path, T], None],
         load: Callable[[files.Locate], T],
     ) -> StageResult[T]:
-        """One stage whose artifact is a value: computed in memory, then saved."""
+        """One stage whose artifact is a value: computed in memory, then saved.
+
+        inputs: other stages, or digests of the part of them that matters.
+        """
         kept: list[T] = []
 
         def work(folder: Path, key: str, progress: Progress) -> Report:
@@ -124,7 +130,7 @@ class _Run:
         self,
         name: str,
         parameters: Any,
-        inputs: dict[str, StageResult[Any]],
+        inputs: dict[str, StageResult[Any] | str],
         work: Callable[[Path, str, Progress], Report],
     ) -> StageResult[Any]:
         """One stage that writes files."""
@@ -136,9 +142,8 @@ class _Run:
             return report, time.perf_counter() - start, memory.peak_bytes()
 
         self.tell(name, 0.0, "started")
-        record, cached = self.store.run(
-            name, VERSIONS[name], parameters, {k: r.record.digest for k, r in inputs.items()}, compute, self.later
-        )
+        digests = {k: given if isinstance(given, str) else given.record.digest for k, given in inputs.items()}
+        record, cached = self.store.run(name, VERSIONS[name], parameters, digests, compute, self.later)
         self.tell(name, 1.0, "done", cached=cached)
         result: StageResult[Any] = StageResult(self.store, record, cached)
         self.records.append(result)
@@ -227,7 +232,7 @@ def _phantom(case: _Run, spec: SimulationSpec) -> StageResult[Phantom]:
 
         def read(progress: Progress) -> Phantom:
             with registry.open_file(case.store, uploaded) as file:
-                return phantom.load(uploaded, file, progress)
+                return _with_outline(phantom.load(uploaded, file, progress))
 
         labels = uploaded.model_dump(exclude={"force_N", "extent_mm"})  # what changes no voxel
         return case.stage("phantom", {"spec": labels}, {}, read, files.save_phantom, files.load_phantom)
@@ -236,20 +241,30 @@ def _phantom(case: _Run, spec: SimulationSpec) -> StageResult[Phantom]:
         "phantom",
         {"spec": grown.model_dump(), "seed": spec.seed},
         {},
-        lambda p: phantom.generate(grown, spec.seed, p),
+        lambda p: _with_outline(phantom.generate(grown, spec.seed, p)),
         files.save_phantom,
         files.load_phantom,
     )
+
+
+def _with_outline(grown: Phantom) -> Phantom:
+    """With the digest of what is breast and what is air in its report: all that most meshes depend on."""
+    outline = hashlib.sha256(canonical(grown.grid.to_dict()))
+    for layer in grown.labels:
+        outline.update(np.packbits(layer).tobytes())  # air is 0
+    return replace(grown, report={**grown.report, "outline_sha256": outline.hexdigest()})
 
 
 def _compress(
     case: _Run, spec: SimulationSpec, grown: StageResult[Phantom]
 ) -> tuple[StageResult[TetMesh], StageResult[Compression], StageResult[Phantom]]:
     """Mesh, compression and compressed phantom."""
+    # Breasts of one outline (with and without lesions, of another seed) share their mesh, and where the law is the
+    # same all over the breast, their compression.
     meshed = case.stage(
         "mesh",
         spec.mesh.model_dump(),
-        {"phantom": grown},
+        {"phantom": grown if mesh.reads_tissues(spec.mesh) else grown.record.report["outline_sha256"]},
         lambda p: mesh.build(grown.artifact, spec.mesh, p),
         files.save_mesh,
         files.load_mesh,
@@ -257,7 +272,7 @@ def _compress(
     compressed = case.stage(
         "fem",
         spec.compression.model_dump(),
-        {"phantom": grown, "mesh": meshed},
+        {"phantom": grown, "mesh": meshed} if fem.reads_tissues(spec.compression) else {"mesh": meshed},
         lambda p: fem.compress(meshed.artifact, grown.artifact, spec.compression, p),
         files.save_compression,
         files.load_compression,

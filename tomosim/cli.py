@@ -18,7 +18,7 @@ from simcore import __version__
 from simcore.core.errors import ExportError, SimulationError, SpecError
 from simcore.phantom.upload.tissue_maps import BUILT_IN
 from simcore.spec import SimulationSpec
-from tomosim import keys, operator
+from tomosim import keys, operator, studies
 
 EXIT_CODES = {"user": 2, "simulation": 3, "system": 4}
 DEFAULT_DATA = Path("data")
@@ -83,6 +83,7 @@ def _parser() -> argparse.ArgumentParser:
     p.set_defaults(run=_analyse)
 
     _phantom_parser(commands)
+    studies.add_commands(commands)
     keys.add_commands(commands)
     operator.add_commands(commands)
 

@@ -11,6 +11,7 @@ import fnmatch
 import uuid
 from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
+from functools import partial
 from typing import Any, ClassVar
 
 import sqlalchemy as sa
@@ -378,10 +379,11 @@ class Deliveries(Leases[Delivery]):
         }
         return self._finish(identifier, owner, values)
 
-    def _ended(self, connection: sa.Connection, identifier: str) -> None:
-        row = self._one(connection, identifier)
-        webhooks.announce(connection, self.clock(), "delivery.finished", lambda: _finished(row))
-        counters.add(connection, {(counters.DELIVERIES_ENDED, row.state): 1.0})
+    def _ended(self, connection: sa.Connection, identifiers: Sequence[str]) -> None:
+        rows = [self._one(connection, identifier) for identifier in identifiers]
+        webhooks.announce(connection, self.clock(), "delivery.finished", *(partial(_finished, row) for row in rows))
+        for row in rows[:1]:
+            counters.add(connection, {(counters.DELIVERIES_ENDED, row.state): float(len(rows))})
 
     # What the sweep does
 

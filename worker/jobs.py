@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import uuid
 from collections import defaultdict
+from collections.abc import Sequence
 from dataclasses import dataclass, fields
+from functools import partial
 from typing import Any, ClassVar, cast
 
 import sqlalchemy as sa
@@ -166,17 +168,22 @@ class Jobs(Leases[Simulation]):
                 connection.execute(_studies.update().where(_studies.c.id == row.study_id).values(announced=None))
         return row
 
-    def _ended(self, connection: sa.Connection, identifier: str) -> None:
-        row = self._one(connection, identifier)
-        keeping.set_expiry(connection, row, self.clock())
-        if row.state == "succeeded":
-            self._deliver(connection, identifier)
-        event = cast(WebhookEvent, f"simulation.{row.state}")
-        webhooks.announce(connection, self.clock(), event, lambda: _told(row))
-        counts: dict[tuple[str, str], float] = {(counters.ENDED, row.state): 1.0}
-        if row.state == "succeeded":
-            manifest = connection.scalar(sa.select(simulations.c.manifest).where(simulations.c.id == identifier))
-            counts |= _stage_counts(manifest or {})
+    def _ended(self, connection: sa.Connection, identifiers: Sequence[str]) -> None:
+        rows = self._many(connection.execute(sa.select(*self._columns).where(simulations.c.id.in_(identifiers))))
+        if not rows:
+            return
+        state = rows[0].state
+        counts: defaultdict[tuple[str, str], float] = defaultdict(float, {(counters.ENDED, state): float(len(rows))})
+        for row in {row.study_id or row.id: row for row in rows}.values():
+            keeping.set_expiry(connection, row, self.clock())
+        if state == "succeeded":
+            for row in rows:
+                self._deliver(connection, row.id)
+                manifest = connection.scalar(sa.select(simulations.c.manifest).where(simulations.c.id == row.id))
+                for name, number in _stage_counts(manifest or {}).items():
+                    counts[name] += number
+        event = cast(WebhookEvent, f"simulation.{state}")
+        webhooks.announce(connection, self.clock(), event, *(partial(_told, row) for row in rows))
         counters.add(connection, counts)
 
     def _deliver(self, connection: sa.Connection, identifier: str) -> None:

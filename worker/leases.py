@@ -356,11 +356,11 @@ class Leases(Generic[Row]):
                 data["reason"] = reason
         self._record(connection, identifier, changed.revision, kind, data)
         if values.get("state") in FINAL_STATES:
-            self._ended(connection, identifier)
+            self._ended(connection, [identifier])
         return True
 
-    def _ended(self, connection: sa.Connection, identifier: str) -> None:
-        """Called in the transaction in which a row reaches a final state."""
+    def _ended(self, connection: sa.Connection, identifiers: Sequence[str]) -> None:
+        """Called in the transaction in which rows reach a final state, the same for all."""
 
     def _change_all(
         self, connection: sa.Connection, condition: sa.ColumnElement[bool], states: Sequence[State], values: Json
@@ -388,8 +388,7 @@ class Leases(Generic[Row]):
             # With RETURNING many rows go into one statement on every database.
             connection.execute(self.events.insert().returning(self._event_key), rows)
         if values["state"] in FINAL_STATES:
-            for identifier, _, _ in changed:
-                self._ended(connection, identifier)
+            self._ended(connection, [row.id for row in changed])
         return len(rows)
 
     def _record(self, connection: sa.Connection, identifier: str, sequence: int, kind: str, data: Json) -> None:

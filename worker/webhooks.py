@@ -130,17 +130,19 @@ class Attempt:
 Row = TypeVar("Row", Webhook, Message, Attempt)
 
 
-def announce(connection: sa.Connection, at: float, event: WebhookEvent, data: Callable[[], Json]) -> None:
-    """Records a message for every webhook that wants to be told of ``event``; part of the caller's transaction.
+def announce(connection: sa.Connection, at: float, event: WebhookEvent, *data: Callable[[], Json]) -> None:
+    """Records messages for every webhook that wants to be told of ``event``; part of the caller's transaction.
 
-    at: seconds since 1970. data: makes what is told, as JSON can say it; called only where somebody wants to know.
+    at: seconds since 1970. data: makes what is told, as JSON can say it, each in a message of its own; called only
+    where somebody wants to know.
     """
     # Locked, so that a webhook which is deleted meanwhile does not break the change that is told of.
     query = sa.select(webhooks.c.id, webhooks.c.events).where(webhooks.c.disabled.is_(None))
     found = connection.execute(query.with_for_update(read=True, key_share=True))
     wanting = [row.id for row in found if event in row.events]
     if wanting:
-        _record(connection, wanting, at, event, data())
+        for make in data:
+            _record(connection, wanting, at, event, make())
 
 
 def _record(connection: sa.Connection, webhook_ids: Sequence[str], at: float, event: str, data: Json) -> list[str]:

@@ -19,6 +19,11 @@ def study_path(identifier: str) -> str:
     return f"{PREFIX}/studies/{identifier}"
 
 
+def folder_name(number: int) -> str:
+    """The folder of a case in archives and downloads."""
+    return f"case-{number:04d}"
+
+
 def study_resource(row: Study, document: dict[str, Any] | None = None) -> StudyResource:
     """The document of a study."""
     path = study_path(row.id)
@@ -54,8 +59,10 @@ def study_resource(row: Study, document: dict[str, Any] | None = None) -> StudyR
 
 def case_resource(row: Simulation) -> CaseResource:
     """The document of a case as part of its study."""
+    number = row.study_number or 0
     return CaseResource(
-        number=row.study_number or 0,
+        number=number,
+        folder=folder_name(number),
         id=row.id,
         name=row.name,
         state=row.state,

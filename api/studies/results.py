@@ -15,13 +15,13 @@ from fastapi.responses import StreamingResponse
 from stream_zip import stream_zip
 
 from api import files, pages
-from api.artifacts import Member, check_stored, chosen_files, content_member, file_members, manifest_bytes
+from api.artifacts import Member, chosen_files, content_member, file_members, manifest_bytes
 from api.auth import Read
 from api.deps import Served, Services, StudyIdentifier
 from api.errors import ApiError
 from api.events import HEARTBEAT_SECONDS, RECONNECT_MILLISECONDS
 from api.studies import tables
-from api.studies.resources import CasePage, case_resource, study_resource
+from api.studies.resources import CasePage, case_resource, folder_name, study_resource
 from worker.contract import State
 from worker.jobs import NotFoundError
 from worker.studies import Studies, Study
@@ -87,12 +87,13 @@ def get_archive(
         Literal["dicom", "mechanics", "preview"] | None, Query(description="files of this kind alone")
     ] = None,
 ) -> StreamingResponse:
-    """The files of the cases that have succeeded so far, one folder a case, as a zip archive made while it is sent."""
+    """The files of the cases that have succeeded so far, one folder a case, as a zip archive made while it is sent.
+
+    Files that have expired meanwhile are named in missing.txt.
+    """
     row = served.studies.get(identifier)
     if not row.counts.get("succeeded"):
         raise ApiError(409, "not-finished", f"no case of the study has succeeded yet; it is {row.state}")
-    for number, manifest in served.studies.manifests(identifier):
-        check_stored(served.store, chosen_files(manifest, only), f"{folder_name(number)}/")
     return StreamingResponse(
         stream_zip(_members(served, row, only), chunk_size=files.CHUNK_BYTES),
         media_type="application/zip",
@@ -115,11 +116,6 @@ def events(caller: Read, identifier: StudyIdentifier, served: Served) -> Streami
     )
 
 
-def folder_name(number: int) -> str:
-    """The folder of a case in archives."""
-    return f"case-{number:04d}"
-
-
 def manifest_json(served: Services, study: Study) -> Iterator[str]:
     """The manifest, case by case, so that a large one never is in memory as a whole."""
     resource = study_resource(study, served.studies.document(study.id)).model_dump(mode="json")
@@ -132,7 +128,7 @@ def manifest_json(served: Services, study: Study) -> Iterator[str]:
         while number and number < entry["number"]:
             number, manifest = next(manifests, (0, {}))
         if number == entry["number"]:
-            entry |= {"folder": folder_name(number), "stages": _stages(manifest), "files": manifest["files"]}
+            entry |= {"stages": _stages(manifest), "files": manifest["files"]}
         yield (",\n  " if position else "\n  ") + json.dumps(entry)
     yield "\n ]\n}\n"
 
@@ -146,10 +142,16 @@ def _members(served: Services, study: Study, only: str | None) -> Iterator[Membe
     now = datetime.now(UTC)
     yield content_member("manifest.json", "".join(manifest_json(served, study)).encode(), now)
     yield content_member("manifest.csv", tables.csv_table(study, served.studies.cases(study.id)).encode(), now)
+    missing = []
     for number, manifest in served.studies.manifests(study.id):
         folder = f"{folder_name(number)}/"
         yield content_member(f"{folder}manifest.json", manifest_bytes(manifest), now)
-        yield from file_members(served.store, chosen_files(manifest, only), now, folder)
+        chosen = chosen_files(manifest, only)
+        there = {name: ref for name, ref in chosen.items() if served.store.has(ref)}
+        missing += [folder + name for name in chosen if name not in there]
+        yield from file_members(served.store, there, now, folder)
+    if missing:
+        yield content_member("missing.txt", "".join(f"{name}\n" for name in missing).encode(), now)
 
 
 async def _stream(studies: Studies, identifier: str) -> AsyncIterator[str]:

@@ -7,9 +7,16 @@ from pathlib import Path
 from simcore.core.artifacts import Compression, Phantom, TetMesh
 from simcore.core.progress import Progress, silent
 from simcore.fem.materials import MaterialSpec
+from simcore.fem.materials.by_tissue import ByTissue
+from simcore.fem.materials.published import Published
 from simcore.fem.spec import CompressionSpec
 
-__all__ = ["CompressionSpec", "compress", "write_vtu"]
+__all__ = ["CompressionSpec", "compress", "reads_tissues", "write_vtu"]
+
+
+def reads_tissues(spec: CompressionSpec) -> bool:
+    """Whether a compression depends on the tissues in the mesh."""
+    return isinstance(spec.material, ByTissue | Published)
 
 
 def compress(mesh: TetMesh, phantom: Phantom, spec: CompressionSpec, progress: Progress = silent) -> Compression:

@@ -6,7 +6,12 @@ from simcore.core.artifacts import Phantom, TetMesh
 from simcore.core.progress import Progress, silent
 from simcore.mesh.spec import LatticeMesh, MeshSpec, TetwildMesh
 
-__all__ = ["LatticeMesh", "MeshSpec", "TetwildMesh", "build"]
+__all__ = ["LatticeMesh", "MeshSpec", "TetwildMesh", "build", "reads_tissues"]
+
+
+def reads_tissues(spec: MeshSpec) -> bool:
+    """Whether a mesh depends on the tissues inside the outline."""
+    return isinstance(spec, TetwildMesh) and spec.border_refinement > 1
 
 
 def build(phantom: Phantom, spec: MeshSpec, progress: Progress = silent) -> TetMesh:

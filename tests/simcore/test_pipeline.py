@@ -10,12 +10,19 @@ import time
 from pathlib import Path
 
 import numba
+import numpy as np
 import pytest
 
-from simcore import pipeline, presets
+from simcore import fem, mesh, pipeline, presets
+from simcore.core import files
 from simcore.core.errors import SimulationError
-from simcore.core.store import Store
+from simcore.core.store import FileRef, Store
+from simcore.core.tissues import Tissue
 from simcore.dicom import check
+from simcore.fem.materials.by_tissue import ByTissue
+from simcore.fem.materials.published import Published
+from simcore.mesh.spec import LatticeMesh
+from simcore.phantom.lesions import Mass
 
 SPEC = presets.get("tiny")
 
@@ -31,6 +38,10 @@ def digests(folder: Path) -> dict[str, str]:
         for p in folder.rglob("*")
         if p.is_file()
     }
+
+
+def cached(result: pipeline.CaseResult) -> list[str]:
+    return [s["name"] for s in result.manifest["stages"] if s["cached"]]
 
 
 def test_the_manifest_tells_what_was_done(first):
@@ -88,18 +99,51 @@ def test_a_second_run_computes_nothing_and_gives_the_same_files(first):
 def test_another_acquisition_of_the_same_breast_computes_only_what_differs(first):
     other = SPEC.with_(acquisition=SPEC.acquisition.with_(views=3))
     result = pipeline.run(other, first.store)
-    assert [s["name"] for s in result.manifest["stages"] if s["cached"]] == [
-        "phantom",
-        "mesh",
-        "fem",
-        "warp",
-        "mechanics",
-    ]
+    assert cached(result) == ["phantom", "mesh", "fem", "warp", "mechanics"]
 
 
-def test_another_seed_is_another_breast(first):
+def test_another_seed_is_another_breast_of_the_same_outline(first):
     result = pipeline.run(SPEC.with_(seed=SPEC.seed + 1), first.store)
-    assert result.manifest["computed_stages"] == len(pipeline.STAGES)
+    assert cached(result) == ["mesh", "fem"]
+
+
+def test_another_volume_is_another_outline(first):
+    result = pipeline.run(SPEC.with_(phantom=SPEC.phantom.with_(volume_ml=61.0)), first.store)
+    assert cached(result) == []
+
+
+def labels_of(result, stage):
+    refs = next(s["outputs"] for s in result.manifest["stages"] if s["name"] == stage)
+    return files.load_phantom(lambda name: result.store.path(FileRef(**refs[name]))).labels
+
+
+def test_a_pair_with_and_without_a_lesion_shares_its_anatomy(first):
+    lesion = Mass(size_mm=(6.0, 6.0, 6.0))
+    present = pipeline.run(SPEC.with_(phantom=SPEC.phantom.with_(lesions=(lesion,))), first.store)
+    assert cached(present) == ["mesh", "fem"]
+    for stage in ("phantom", "warp"):
+        without, with_lesion = labels_of(first, stage), labels_of(present, stage)
+        mass = with_lesion == Tissue.MASS
+        assert 10 < mass.sum() < 1000
+        assert np.array_equal(with_lesion[~mass], without[~mass])
+        assert not np.any(without == Tissue.MASS)
+
+
+def test_stages_that_read_tissues_share_nothing(first):
+    asked = SPEC.with_(
+        compression=SPEC.compression.with_(material=ByTissue.example()), mesh=SPEC.mesh.with_(border_refinement=1.5)
+    )
+    pipeline.run(asked, first.store)
+    assert cached(pipeline.run(asked.with_(seed=SPEC.seed + 1), first.store)) == []
+
+
+def test_which_stages_read_tissues():
+    assert not mesh.reads_tissues(SPEC.mesh)
+    assert mesh.reads_tissues(SPEC.mesh.with_(border_refinement=1.5))
+    assert not mesh.reads_tissues(LatticeMesh())
+    assert not fem.reads_tissues(SPEC.compression)
+    for law in (ByTissue.example(), Published.example()):
+        assert fem.reads_tissues(SPEC.compression.with_(material=law))
 
 
 def test_the_name_changes_no_result(first):

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import AsyncIterator, Callable, Mapping, Sequence
 from contextlib import asynccontextmanager
+from dataclasses import replace
 from pathlib import Path
 from types import TracebackType
 from typing import IO, Any, Self, TypeVar
@@ -286,6 +287,26 @@ class AsyncClient:
     async def study_manifest(self, study_id: str) -> Json:
         """Every case with its coordinates, results and files."""
         return await self._do(calls.study_manifest(study_id))
+
+    async def study_table(self, study_id: str) -> str:
+        """One line a case, as CSV: coordinates, results, failures."""
+        return await self._do(calls.study_table(study_id))
+
+    async def download_study(
+        self, study_id: str, folder: Path, choose: Callable[[str], bool] | None = None
+    ) -> AsyncIterator[Downloaded]:
+        """Writes the files of all cases that have succeeded, one folder a case, and cases.csv below ``folder``.
+
+        As ``download``: what is there is kept, so that it can be called again while the study goes on.
+        """
+        async for case in self.study_cases(study_id, "succeeded"):
+            async for file in self.download(case.id, folder / case.folder, choose):
+                yield replace(file, name=f"{case.folder}/{file.name}")
+        content = (await self.study_table(study_id)).encode()
+        folder.mkdir(parents=True, exist_ok=True)
+        target = folder / "cases.csv"
+        target.write_bytes(content)
+        yield Downloaded("cases.csv", target, len(content))
 
     async def download_study_archive(self, study_id: str, target: Path) -> int:
         """Writes the files of all cases that succeeded as one zip archive; its size in bytes."""

@@ -156,6 +156,11 @@ def study_cases(identifier: str, state: str | None, limit: int, cursor: str | No
     return _get(f"/v1/studies/{_part(identifier)}/cases", CasePage, state=state, limit=limit, cursor=cursor)
 
 
+def study_table(identifier: str) -> Call[str]:
+    path = f"/v1/studies/{_part(identifier)}/manifest"
+    return Call("GET", path, lambda response: response.text, {"format": "csv"})
+
+
 def cancel_study(identifier: str) -> Call[StudyResource]:
     return _act(f"/v1/studies/{_part(identifier)}/cancel", StudyResource, repeatable=True)
 

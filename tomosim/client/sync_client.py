@@ -8,6 +8,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 from types import TracebackType
 from typing import IO, Any, Self, TypeVar
@@ -280,6 +281,26 @@ class Client:
     def study_manifest(self, study_id: str) -> Json:
         """Every case with its coordinates, results and files."""
         return self._do(calls.study_manifest(study_id))
+
+    def study_table(self, study_id: str) -> str:
+        """One line a case, as CSV: coordinates, results, failures."""
+        return self._do(calls.study_table(study_id))
+
+    def download_study(
+        self, study_id: str, folder: Path, choose: Callable[[str], bool] | None = None
+    ) -> Iterator[Downloaded]:
+        """Writes the files of all cases that have succeeded, one folder a case, and cases.csv below ``folder``.
+
+        As ``download``: what is there is kept, so that it can be called again while the study goes on.
+        """
+        for case in self.study_cases(study_id, "succeeded"):
+            for file in self.download(case.id, folder / case.folder, choose):
+                yield replace(file, name=f"{case.folder}/{file.name}")
+        content = self.study_table(study_id).encode()
+        folder.mkdir(parents=True, exist_ok=True)
+        target = folder / "cases.csv"
+        target.write_bytes(content)
+        yield Downloaded("cases.csv", target, len(content))
 
     def download_study_archive(self, study_id: str, target: Path) -> int:
         """Writes the files of all cases that succeeded as one zip archive; its size in bytes."""
