@@ -22,6 +22,8 @@ from worker.retention import ExpiredError, unexpired
 
 Json = dict[str, Any]
 
+Conditions = tuple[sa.ColumnElement[bool], ...]
+
 LEVELS: tuple[Level, ...] = ("study", "series", "instance")
 
 
@@ -147,7 +149,7 @@ class DicomIndex:
     def search(self, level: Level, conditions: Sequence[Condition], limit: int, offset: int) -> tuple[list[Found], int]:
         """The results number offset .. offset + limit, the newest study first, and how many there are in all."""
         clauses = [_clause(level, condition) for condition in conditions]
-        base = _joined(level).where(_shown(self.clock()), *clauses)
+        base = _joined(level).where(*_shown(self.clock()), *clauses)
         columns: list[sa.ColumnElement[Any]] = [
             TABLES[name].c.attributes.label(f"{name}_attributes") for name in _down_to(level)
         ]
@@ -158,7 +160,10 @@ class DicomIndex:
             columns += [series.c.instance_count]
         order = [studies.c.id.desc(), *([series.c.number, series.c.id] if level != "study" else [])]
         order += [instances.c.number, instances.c.id] if level == "instance" else []
-        query = base.with_only_columns(*columns).order_by(*order).limit(limit).offset(offset)
+        # The rows are long: which ones they are is found by the indexes alone.
+        own = TABLES[level].c.id
+        chosen = base.with_only_columns(own).order_by(*order).limit(limit).offset(offset).subquery()
+        query = _joined(level).where(own.in_(sa.select(chosen.c.id))).with_only_columns(*columns).order_by(*order)
         with reading(self.engine) as connection:
             found = [_found(level, row) for row in connection.execute(query).mappings()]
             total = offset + len(found)
@@ -172,14 +177,12 @@ class DicomIndex:
         raises: ExpiredError where there was.
         """
         found = self._instances(_shown(self.clock()), study, series_uid, instance)
-        if not found and self._instances(sa.true(), study, series_uid, instance):
+        if not found and self._instances((), study, series_uid, instance):
             raise ExpiredError(f"the files of study {study}")
         return found
 
-    def _instances(
-        self, which: sa.ColumnElement[bool], study: str, series_uid: str | None, instance: str | None
-    ) -> list[Instance]:
-        query = _joined("instance").where(which, studies.c.uid == study)
+    def _instances(self, which: Conditions, study: str, series_uid: str | None, instance: str | None) -> list[Instance]:
+        query = _joined("instance").where(*which, studies.c.uid == study)
         if series_uid is not None:
             query = query.where(series.c.uid == series_uid)
         if instance is not None:
@@ -218,12 +221,17 @@ def _joined(level: Level) -> sa.Select[Any]:
     return sa.select().select_from(joined)
 
 
-def _shown(now: float) -> sa.ColumnElement[bool]:
+def _shown(now: float) -> Conditions:
     """Of the cases that hold the same study and have not expired, the one that came last."""
-    other = studies.alias()
-    kept = sa.join(other, simulations, other.c.simulation_id == simulations.c.id)
-    newest = sa.select(sa.func.max(other.c.id)).select_from(kept).where(unexpired(now)).group_by(other.c.uid)
-    return studies.c.id.in_(newest)
+    later = studies.alias()
+    kept = sa.exists().where(simulations.c.id == studies.c.simulation_id, unexpired(now))
+    replaced = sa.exists().where(
+        later.c.uid == studies.c.uid,
+        later.c.id > studies.c.id,
+        simulations.c.id == later.c.simulation_id,
+        unexpired(now),
+    )
+    return kept, ~replaced
 
 
 def _clause(level: Level, condition: Condition) -> sa.ColumnElement[bool]:

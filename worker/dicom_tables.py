@@ -50,20 +50,21 @@ series = sa.Table(
     "dicom_series",
     metadata,
     sa.Column("id", sa.Integer, primary_key=True),
-    sa.Column("study", sa.ForeignKey("dicom_studies.id", ondelete="CASCADE"), nullable=False, index=True),
+    sa.Column("study", sa.ForeignKey("dicom_studies.id", ondelete="CASCADE"), nullable=False),
     sa.Column("uid", sa.String(64), nullable=False, index=True),
     sa.Column("modality", sa.String(16), nullable=False),
     sa.Column("number", sa.Integer),
     sa.Column("description", sa.String(64), nullable=False),
     sa.Column("instance_count", sa.Integer, nullable=False),
     sa.Column("attributes", sa.JSON, nullable=False),
+    sa.Index("dicom_series_in_order", "study", "number", "modality"),
 )
 
 instances = sa.Table(
     "dicom_instances",
     metadata,
     sa.Column("id", sa.Integer, primary_key=True),
-    sa.Column("series", sa.ForeignKey("dicom_series.id", ondelete="CASCADE"), nullable=False, index=True),
+    sa.Column("series", sa.ForeignKey("dicom_series.id", ondelete="CASCADE"), nullable=False),
     sa.Column("uid", sa.String(64), nullable=False, index=True),
     sa.Column("sop_class", sa.String(64), nullable=False),
     sa.Column("number", sa.Integer),
@@ -73,6 +74,7 @@ instances = sa.Table(
     sa.Column("transfer_syntax", sa.String(64), nullable=False),
     sa.Column("pixels", sa.JSON(none_as_null=True)),
     sa.Column("attributes", sa.JSON, nullable=False),
+    sa.Index("dicom_instances_in_order", "series", "number"),
 )
 
 
