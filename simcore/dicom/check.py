@@ -46,6 +46,8 @@ ALLOWED_WARNINGS = (
     # Terms may be extended: these two say that nothing of the kind is simulated.
     r"AnodeTargetMaterial\(0018,1191\)\[1\]> - Unrecognized defined term = <SIMULATED>",
     r"FilterMaterial\(0018,7050\)\[1\]> - Unrecognized defined term = <NONE>",
+    # An even sheet; the terms listed for mammography are all of shaped filters.
+    r"FilterType\(0018,1160\)\[1\]> - Unrecognized defined term = <FLAT>",
     # Dose, tube load and detector temperature are not modelled and stand as zero.
     r"/(OrganDose|EntranceDoseInmGy|HalfValueLayer|FrameAcquisitionDuration|ExposureTimeInms|ExposureInmAs|"
     r"XRayTubeCurrentInmA|Exposure|ExposureInuAs|ExposureTime|XRayTubeCurrent|RelativeXRayExposure|"

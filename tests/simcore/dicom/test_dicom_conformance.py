@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import pydicom
@@ -12,6 +13,7 @@ from pydicom.dataset import Dataset
 
 from simcore.core.errors import ExportError
 from simcore.dicom import check
+from simcore.dicom.exposure import Exposure
 
 from .conftest import ALL_EXTRAS, SmallCase, make_case
 
@@ -126,3 +128,29 @@ def test_marks_of_a_synthetic_object(exported: Callable[[SmallCase], Path]) -> N
     view = pydicom.dcmread(folder / "projections/0003.dcm")
     assert (view.CompressionForce, view.BodyPartThickness, view.InstanceNumber) == (97.25, 40.0, 3)
     assert (view.ImageLaterality, view.ViewPosition) == ("L", "CC")
+
+
+def test_what_is_known_of_the_exposure_is_written(tmp_path: Path) -> None:
+    """A tube with its filter, load and dose; each view has its share."""
+    exposure = Exposure(
+        28.0, "TUNGSTEN", "RHODIUM", 0.05, 0.52, 60.0, 1.5, 6.0, 1.8, remark="tungsten spectrum, 28 kV, simulated"
+    )
+    case = make_case(views=4)
+    replace(case, case=replace(case.case, exposure=exposure)).export(tmp_path)
+    found = check.verdicts(sorted(tmp_path.rglob("*.dcm")))
+    assert [str(v) for v in found if not v.ok or v.warnings] == []
+    one = pydicom.dcmread(tmp_path / "projections/0002.dcm")
+    assert (one.KVP, one.AnodeTargetMaterial, one.FilterMaterial, one.FilterType) == (28, "TUNGSTEN", "RHODIUM", "FLAT")
+    assert (one.FilterThicknessMinimum, one.HalfValueLayer) == (0.05, 0.52)
+    assert (one.Exposure, one.ExposureInuAs, one.ExposureTime, one.XRayTubeCurrent) == (15, 15000, 375, 40)
+    # Organ Dose is in dGy.
+    assert (one.OrganDose, one.EntranceDoseInmGy) == (0.0045, 1.5)
+    assert one.ExposureControlModeDescription == "tungsten spectrum, 28 kV, simulated"
+    all_views = pydicom.dcmread(tmp_path / "projections.dcm")
+    assert (all_views.OrganDose, all_views.EntranceDoseInmGy, all_views.ExposureInmAs) == (0.018, 6.0, 60.0)
+    frame = all_views.PerFrameFunctionalGroupsSequence[3]
+    assert frame.XRayAcquisitionDoseSequence[0].ExposureInmAs == 15.0
+    assert frame.XRayAcquisitionDoseSequence[0].OrganDose == 0.0045
+    volume = pydicom.dcmread(tmp_path / "tomosynthesis.dcm").XRay3DAcquisitionSequence[0]
+    assert (volume.KVP, volume.ExposureInmAs, volume.FilterMaterial) == (28, 60.0, "RHODIUM")
+    assert volume.PerProjectionAcquisitionSequence[0].ExposureTimeInms == 375.0
