@@ -48,7 +48,7 @@ def main() -> int:
     parser.add_argument("--runs", type=int, default=8, help="cases of which the median is taken")
     parser.add_argument("--without-paper", action="store_true", help="leave out the case of the paper's size (minutes)")
     args = parser.parse_args()
-    with tempfile.TemporaryDirectory(prefix="bench-service-", dir=".") as folder, served(Path(folder)) as url:
+    with tempfile.TemporaryDirectory(prefix="bench-service-") as folder, served(Path(folder)) as url:
         result: Json = {"load": machine_load()}
         with Client(url) as client:
             result |= overhead(client, args.runs, Path(folder))

@@ -86,7 +86,7 @@ def check_url(text: str, private_hosts: Collection[str] = ()) -> httpx.URL:
     shown = f"url = {text[:200]!r}"
     if len(text) > MAX_URL_LENGTH:
         raise RefusedAddressError(f"{shown}: no longer than {MAX_URL_LENGTH} characters")
-    if url.scheme not in ("https", "http") or not _HOST.fullmatch(url.raw_host):
+    if url.scheme not in ("https", "http") or not _is_host(url.raw_host):
         raise RefusedAddressError(f"{shown}: it must begin with https:// and a host")
     if url.userinfo or url.fragment:
         raise RefusedAddressError(f"{shown}: neither a user nor a fragment (#...) may stand in it")
@@ -102,6 +102,15 @@ def check_url(text: str, private_hosts: Collection[str] = ()) -> httpx.URL:
         return url
     _require_public(url.host, literal)
     return url
+
+
+def _is_host(raw: bytes) -> bool:
+    """Whether a name can be looked up: labels of 1 to 63 characters."""
+    try:
+        raw.decode("ascii").encode("idna")
+    except UnicodeError:
+        return False
+    return _HOST.fullmatch(raw) is not None
 
 
 _HOW_TO_ALLOW = "hosts of an intranet are named in TOMOSIM_WEBHOOK_PRIVATE_HOSTS"
@@ -120,7 +129,8 @@ async def lookup(host: str, port: int) -> list[Address]:
 
 async def resolve(url: httpx.URL, private_hosts: Collection[str] = ()) -> list[Address]:
     """The addresses to connect to. raises: RefusedAddressError where any of them is not allowed; OSError"""
-    found = await lookup(url.host, url.port or (443 if url.scheme == "https" else 80))
+    # The name as it stands in the certificate: other ways to write it could be looked up differently.
+    found = await lookup(url.raw_host.decode("ascii"), url.port or (443 if url.scheme == "https" else 80))
     if url.host not in private_hosts:
         for address in found:
             _require_public(url.host, address)
