@@ -1,6 +1,6 @@
 """What the service costs: over ``tomosim simulate``, in answers a second, for a large study, for what is in the store.
 
-    python -m bench.service [--runs 8] [--without-paper]
+    python -m bench.service [--runs 8] [--part small | paper]
 
 One ``tomosim serve`` on a fresh folder. Overhead: seconds from submission to the final state as a client sees it, less
 the seconds that the pipeline itself took, of new cases on a warm worker; beside it the whole command ``tomosim
@@ -15,6 +15,7 @@ from __future__ import annotations
 import argparse
 import asyncio
 import json
+import os
 import signal
 import socket
 import statistics
@@ -34,6 +35,7 @@ from simcore import presets
 from simcore.mesh.spec import LatticeMesh
 from simcore.spec import SimulationSpec
 from tomosim.client import Client
+from worker import processes
 
 CONNECTIONS = 8
 LOAD_SECONDS = 4.0
@@ -46,15 +48,18 @@ Json = dict[str, Any]
 def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--runs", type=int, default=8, help="cases of which the median is taken")
-    parser.add_argument("--without-paper", action="store_true", help="leave out the case of the paper's size (minutes)")
+    parser.add_argument(
+        "--part", choices=("all", "small", "paper"), default="all", help="paper: the paper's size alone"
+    )
     args = parser.parse_args()
     with tempfile.TemporaryDirectory(prefix="bench-service-") as folder, served(Path(folder)) as url:
         result: Json = {"load": machine_load()}
         with Client(url) as client:
-            result |= overhead(client, args.runs, Path(folder))
-            result |= answers(client, url)
-            result |= study(client)
-            if not args.without_paper:
+            if args.part != "paper":
+                result |= overhead(client, args.runs, Path(folder))
+                result |= answers(client, url)
+                result |= study(client)
+            if args.part != "small":
                 result |= paper(client)
     print(json.dumps(result))
     return 0
@@ -68,7 +73,7 @@ def served(folder: Path) -> Iterator[str]:
         port = probe.getsockname()[1]
     data = str(folder / "data")
     command = [sys.executable, "-m", "tomosim", "serve", "--data", data, "--port", str(port)]
-    process = subprocess.Popen(command, stdout=subprocess.PIPE, start_new_session=True)
+    process = processes.start(command, dict(os.environ), subprocess.PIPE)
     assert process.stdout is not None
     try:
         if b"ready" not in process.stdout.readline():
