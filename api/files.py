@@ -17,7 +17,8 @@ from simcore.core.store import FileRef, Store
 
 CHUNK_BYTES = 1 << 20
 
-_RANGE = re.compile(r"bytes\s*=\s*(\d*)\s*-\s*(\d*)\s*", re.IGNORECASE)
+# No more digits than int() takes from strangers.
+_RANGE = re.compile(r"bytes\s*=\s*([0-9]{0,40})\s*-\s*([0-9]{0,40})\s*", re.IGNORECASE)
 
 MEDIA_TYPES = {
     ".dcm": "application/dicom",

@@ -25,6 +25,9 @@ THUMBNAIL = Viewport(256, 256)
 AT_ONCE = 2
 """Frames that are rendered at a time: each takes some 100 MB and a core."""
 
+MOST_PICTURES = 10
+"""Frames that one request may have rendered: they are held until they are sent."""
+
 _BINARY: dict[str, Any] = {"schema": {"type": "string", "format": "binary"}}
 _PICTURE: dict[str, Any] = {
     "response_class": Response,
@@ -146,6 +149,8 @@ def _thumbnail(request: Request, served: Services, found: list[Instance]) -> Res
 
 def _pictures(request: Request, frames: Frames, numbers: list[int], wish: Wish) -> Response:
     kind, multipart = choose_picture(request)
+    if len(numbers) > MOST_PICTURES:
+        raise ApiError(400, "bad-frames", f"{len(numbers)} frames: at most {MOST_PICTURES} are rendered for a request")
     if len(numbers) > 1 and not multipart:
         raise not_acceptable(f'{RELATED}; type="{kind}"; one frame at a time without multipart')
     shown = look(frames.store, frames.ref)

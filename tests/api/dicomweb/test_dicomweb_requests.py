@@ -10,9 +10,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from api.dicomweb import query
+from api.dicomweb import query, rendered
 from api.dicomweb.metadata import BULK_BYTES
-from api.dicomweb.rendered import THUMBNAIL
+from api.dicomweb.rendered import MOST_PICTURES, THUMBNAIL
 from simcore.core.errors import StoreError
 from worker.database import simulations
 from worker.dicom_index import Condition
@@ -390,6 +390,13 @@ def test_thumbnails(client, case):
     assert several.content.count(b"\x89PNG") == 2
 
 
+def test_many_pictures_at_once(client, case, is_problem, monkeypatch):
+    monkeypatch.setattr(rendered, "MOST_PICTURES", 2)
+    several = {"Accept": "multipart/related; type=image/png"}
+    assert client.get(f"{case.url(VOLUME)}/frames/1,2/rendered", headers=several).status_code == 200
+    is_problem(client.get(f"{case.url(VOLUME)}/frames/1,2,3/rendered", headers=several), 400, "bad-frames")
+
+
 def test_the_page_names_what_is_searched_and_the_limits():
     page = (Path(__file__).parents[3] / "docs" / "dicomweb.md").read_text()
     for level in ("study", "series", "instance"):
@@ -399,3 +406,4 @@ def test_the_page_names_what_is_searched_and_the_limits():
     assert f"more than {BULK_BYTES} bytes" in page
     assert f"more than {MAX_ATTRIBUTE_CHARACTERS} characters" in page
     assert f"{THUMBNAIL.width} pixels" in page
+    assert f"at most {MOST_PICTURES}) as multipart" in page
