@@ -396,6 +396,9 @@ def _why_not(
     if isinstance(failure, ssl.SSLError):
         text = f"no TLS with {where} ({failure.reason or failure}): does the peer speak TLS on this port?"
         return AssociationError("tls-failed", text, again=False)
+    if destination.tls is not None and isinstance(failure, ConnectionResetError | BrokenPipeError):
+        text = f"{where} ended the connection when TLS began: does the peer speak TLS on this port?"
+        return AssociationError("tls-failed", text, again=True)
     if isinstance(failure, ConnectionRefusedError):
         text = f"nothing listens at {where}: start the peer, or correct host and port (or the firewall between)"
         return AssociationError("connection-refused", text, again=True)
