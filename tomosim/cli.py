@@ -18,7 +18,7 @@ from simcore import __version__
 from simcore.core.errors import ExportError, SimulationError, SpecError
 from simcore.phantom.upload.tissue_maps import BUILT_IN
 from simcore.spec import SimulationSpec
-from tomosim import keys, operator, studies
+from tomosim import destination, keys, operator, studies
 
 EXIT_CODES = {"user": 2, "simulation": 3, "system": 4}
 DEFAULT_DATA = Path("data")
@@ -85,6 +85,7 @@ def _parser() -> argparse.ArgumentParser:
     _phantom_parser(commands)
     studies.add_commands(commands)
     keys.add_commands(commands)
+    destination.add_commands(commands)
     operator.add_commands(commands)
 
     p = commands.add_parser("warm-up", help="compile all kernels once, so that the first case is as fast as the next")

@@ -1,0 +1,137 @@
+"""The whole house with the real pipeline: a case is simulated, sent to Orthanc with its success, and read back."""
+
+import json
+import os
+import shutil
+import signal
+import socket
+import subprocess
+import sys
+import time
+from io import BytesIO
+
+import httpx
+import pytest
+from pydicom import dcmread
+
+from simcore import presets
+from tomosim.cli import main
+
+PATIENCE_SECONDS = 400
+
+
+def free_port():
+    with socket.socket() as s:
+        s.bind(("127.0.0.1", 0))
+        return int(s.getsockname()[1])
+
+
+def wait_for(condition, what):
+    deadline = time.monotonic() + PATIENCE_SECONDS
+    while not (found := condition()):
+        assert time.monotonic() < deadline, f"{what} did not happen"
+        time.sleep(0.1)
+    return found
+
+
+def answers(url):
+    try:
+        return httpx.get(url, timeout=5).is_success
+    except httpx.HTTPError:
+        return False
+
+
+@pytest.fixture(scope="module")
+def service(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("data")
+    port = free_port()
+    command = [sys.executable, "-m", "tomosim", "serve", "--data", str(folder), "--port", str(port)]
+    process = subprocess.Popen(command, start_new_session=True)
+    url = f"http://127.0.0.1:{port}"
+    try:
+        wait_for(lambda: process.poll() is None and answers(f"{url}/readyz"), "the start")
+        yield url
+        process.send_signal(signal.SIGINT)
+        assert process.wait(60) == 0
+    finally:
+        if process.poll() is None:
+            os.killpg(process.pid, signal.SIGKILL)
+            process.wait()
+
+
+@pytest.fixture(scope="module")
+def orthanc(tmp_path_factory):
+    """(DICOM port, address) of a running Orthanc."""
+    if not shutil.which("Orthanc"):
+        pytest.skip("needs Orthanc: the Debian package orthanc")
+    folder = tmp_path_factory.mktemp("orthanc")
+    dicom, rest = free_port(), free_port()
+    (folder / "orthanc.json").write_text(
+        json.dumps(
+            {
+                "StorageDirectory": str(folder / "db"),
+                "IndexDirectory": str(folder / "db"),
+                "DicomAet": "ARCHIVE",
+                "DicomPort": dicom,
+                "DicomCheckCalledAet": True,
+                "DicomAlwaysAllowStore": True,
+                "HttpPort": rest,
+                "RemoteAccessAllowed": False,
+            }
+        )
+    )
+    with open(folder / "log", "wb") as log:
+        process = subprocess.Popen(["Orthanc", str(folder / "orthanc.json")], stdout=log, stderr=log)
+    try:
+        wait_for(lambda: process.poll() is None and answers(f"http://127.0.0.1:{rest}/system"), "the start of Orthanc")
+        yield dicom, f"http://127.0.0.1:{rest}"
+    finally:
+        process.terminate()
+        process.wait(30)
+
+
+@pytest.mark.needs_orthanc
+def test_a_case_goes_to_an_archive_with_its_success(service, orthanc, capsys):
+    port, archive = orthanc
+    assert main(["destination", "add", "archive", "127.0.0.1", str(port), "ARCHIVE", "--url", service]) == 0
+    assert main(["destination", "echo", "archive", "--url", service]) == 0
+    assert "it accepts" in capsys.readouterr().out
+    specification = presets.get("tiny").model_dump(mode="json")
+    body = {**specification, "deliver": [{"destination": "archive"}]}
+    case = httpx.post(f"{service}/v1/simulations", json=body).json()
+    listing = f"{service}/v1/deliveries?simulation_id={case['id']}"
+    delivery = wait_for(lambda: httpx.get(listing).json()["items"], "the delivery")[0]
+    path = f"{service}{delivery['links']['self']}"
+    ended = wait_for(lambda: (d := httpx.get(path).json())["state"] not in ("queued", "running") and d, "its end")
+    assert (ended["state"], ended["error"]) == ("succeeded", None)
+    files = {a["name"]: a for a in httpx.get(f"{service}{case['links']['self']}/artifacts").json()["items"]}
+    dicom = [name for name in files if name.endswith(".dcm")]
+    assert sorted(i["name"] for i in ended["instances"]) == sorted(dicom)
+    found = {}
+    for identifier in httpx.get(f"{archive}/instances").json():
+        stored = dcmread(BytesIO(httpx.get(f"{archive}/instances/{identifier}/file").content))
+        found[str(stored.SOPInstanceUID)] = stored
+    for instance in ended["instances"]:
+        ours = dcmread(BytesIO(httpx.get(f"{service}{files[instance['name']]['href']}").content))
+        theirs = found.pop(instance["sop_instance_uid"])
+        assert theirs == ours
+    assert found == {}
+
+
+def test_what_is_wrong_is_said(service, capsys):
+    assert main(["destination", "add", "closed", "127.0.0.1", "1", "NOBODY", "--url", service]) == 0
+    assert main(["destination", "add", "closed", "127.0.0.1", "1", "NOBODY", "--url", service]) != 0
+    assert "another destination has this name" in capsys.readouterr().err
+    assert main(["destination", "add", "bad", "127.0.0.1", "1", "A" * 17, "--url", service]) == 2
+    assert "/called_aet" in capsys.readouterr().err
+    assert main(["destination", "echo", "closed", "--url", service]) == 4
+    assert "nothing listens at 127.0.0.1:1" in capsys.readouterr().err
+    assert main(["destination", "list", "--url", service]) == 0
+    assert "NOBODY@127.0.0.1:1" in capsys.readouterr().out
+    assert main(["deliver", "0" * 32, "closed", "--url", service]) != 0
+    assert "no simulation" in capsys.readouterr().err
+    assert main(["destination", "remove", "nowhere", "--url", service]) == 2
+    assert "closed" in capsys.readouterr().err
+    assert main(["destination", "remove", "closed", "--url", service]) == 0
+    assert main(["destination", "list", "--url", service]) == 0
+    assert "closed" not in capsys.readouterr().out
