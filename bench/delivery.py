@@ -3,8 +3,8 @@
     python -m bench.delivery [--rounds 3] [--rows 2304 --columns 1920 --slices 60 --views 15]
 
 A volume and its projections of full size (664 MB of noise, which nothing can compress) go to an Orthanc on this
-machine, in memory, emptied before every transfer. Ours is a whole delivery: row, files of the store, C-ECHO, C-STORE, the status
-of every instance written to the database. storescu sends the same files on one association. The last line is
+machine, in memory, emptied before every transfer. Ours is a whole delivery: row, files of the store, C-ECHO, C-STORE,
+the status of every instance written to the database. storescu sends the same files on one association. The last line:
 {"MBps", "peer_MBps", "ratio", "peak_MB"}: medians, and the peak memory of the process that delivers.
 """
 

@@ -107,14 +107,14 @@ def _walk(model: type[Spec], location: tuple[int | str, ...]) -> tuple[list[str]
     return path, current
 
 
-def spec_error(model: type[Spec], error: ValidationError) -> SpecError:
+def spec_error(model: type[Spec], error: ValidationError, what: str = "specification") -> SpecError:
     """A pydantic error as a SpecError with one line a problem: field, value, what is allowed."""
     problems: list[dict[str, Any]] = []
     lines: list[str] = []
     for item in error.errors(include_url=False):
         location = tuple(item["loc"])
         path = [step for step in _walk(model, location)[0] if step != "[key]"]
-        field = ".".join(path) or "(the whole specification)"
+        field = ".".join(path) or f"(the whole {what})"
         message = item["msg"]
         if item["type"] == "extra_forbidden":
             valid = sorted(getattr(_walk(model, location[:-1])[1], "model_fields", {}))
@@ -129,5 +129,5 @@ def spec_error(model: type[Spec], error: ValidationError) -> SpecError:
             escaped = (step.replace("~", "~0").replace("/", "~1") for step in path)
             problems[-1]["pointer"] = "/" + "/".join(escaped)
         lines.append(f"{field}{'' if value is None else f' = {value!r}'}: {message}")
-    head = "the specification is not valid" if len(lines) == 1 else f"{len(lines)} fields are not valid"
+    head = f"the {what} is not valid" if len(lines) == 1 else f"{len(lines)} fields are not valid"
     return SpecError(f"{head}: " + "; ".join(lines), problems=problems)

@@ -8,14 +8,18 @@ import sys
 import time
 from typing import TYPE_CHECKING, Any
 
+from pydantic import ValidationError
+
 from simcore.core.errors import SimulationError
+from simcore.spec import spec_error
+from worker.contract import FINAL_STATES
+from worker.destination_spec import Destination
 
 if TYPE_CHECKING:
     from tomosim.client import Client
 
 Json = dict[str, Any]
 
-FINAL_STATES = ("succeeded", "failed", "cancelled")
 POLL_SECONDS = 0.5
 EXIT_FAILED = 4
 
@@ -78,69 +82,69 @@ def _service_argument(parser: argparse.ArgumentParser) -> None:
 
 
 def _add(args: argparse.Namespace) -> None:
-    body = {"name": args.name, "host": args.host, "port": args.port, "called_aet": args.called_aet}
+    definition: Json = {"name": args.name, "host": args.host, "port": args.port, "called_aet": args.called_aet}
     if args.calling_aet is not None:
-        body["calling_aet"] = args.calling_aet
+        definition["calling_aet"] = args.calling_aet
     files = {n: v for n in ("ca_file", "certificate_file", "key_file") if (v := getattr(args, n)) is not None}
     if args.tls or files or args.no_verify:
-        body["tls"] = {**files, "verify": not args.no_verify}
+        definition["tls"] = {**files, "verify": not args.no_verify}
     limits = {"bandwidth_MBps": args.bandwidth, "associations": args.associations, "maximum_pdu": args.maximum_pdu}
-    body["limits"] = {name: value for name, value in limits.items() if value is not None}
+    definition["limits"] = {name: value for name, value in limits.items() if value is not None}
+    try:
+        destination = Destination.model_validate(definition)
+    except ValidationError as error:
+        raise spec_error(Destination, error, "destination") from None
     with _client(args) as client:
-        made = _ask(client, "POST", "/v1/destinations", body)
-    print(made["id"])
+        print(client.create_destination(destination).id)
     print(f"tomosim: test it with 'tomosim destination echo {args.name}'", file=sys.stderr)
 
 
 def _list(args: argparse.Namespace) -> None:
     with _client(args) as client:
-        for item in _ask(client, "GET", "/v1/destinations")["items"]:
-            where = f"{item['called_aet']}@{item['host']}:{item['port']}" if "host" in item else ""
-            print(f"{item['id']}  {item['name']:<20}  {where}{' TLS' if item.get('tls') else ''}".rstrip())
+        for item in client.destinations():
+            where = ""
+            if isinstance(item, Destination):
+                where = f"{item.called_aet}@{item.host}:{item.port}{' TLS' if item.tls else ''}"
+            print(f"{item.id}  {item.name:<20}  {where}".rstrip())
 
 
 def _echo(args: argparse.Namespace) -> int:
     with _client(args) as client:
-        path = _path(client, args.destination)
-        answer = _ask(client, "POST", f"{path}/echo")
-    if not answer["reachable"]:
-        print(f"tomosim: {answer['message']} ({answer['code']})", file=sys.stderr)
+        answer = client.echo(_identifier(client, args.destination))
+    if not answer.reachable:
+        print(f"tomosim: {answer.message} ({answer.code})", file=sys.stderr)
         return EXIT_FAILED
-    print(f"{args.destination}: {answer['message']}, {answer['seconds']:.2f} s")
-    for name in answer["refused"]:
+    print(f"{args.destination}: {answer.message}, {answer.seconds:.2f} s")
+    for name in answer.refused:
         print(f"  refused: {name}")
     return 0
 
 
 def _remove(args: argparse.Namespace) -> None:
     with _client(args) as client:
-        _ask(client, "DELETE", _path(client, args.destination))
+        client.delete_destination(_identifier(client, args.destination))
 
 
 def _deliver(args: argparse.Namespace) -> int:
-    body: Json = {"destination": args.destination, "study_id" if args.study else "simulation_id": args.case}
-    if args.files:
-        body["files"] = args.files
+    case = {"study_id" if args.study else "simulation_id": args.case}
     with _client(args) as client:
-        delivery = _ask(client, "POST", "/v1/deliveries", body)
-        path = delivery["links"]["self"]
-        print(f"{client.url}{path}", flush=True)
+        delivery = client.deliver(args.destination, files=args.files or (), **case)
+        print(f"{client.url}{delivery.links['self']}", flush=True)
         if not args.wait:
             return 0
         told = ""
-        while delivery["state"] not in FINAL_STATES:
-            if delivery["message"] not in ("", told):
-                told = delivery["message"]
-                done = f"{delivery['instances_stored']} of {delivery['instances_total']}"
+        while delivery.state not in FINAL_STATES:
+            if delivery.message not in ("", told):
+                told = delivery.message
+                done = f"{delivery.instances_stored} of {delivery.instances_total}"
                 print(f"{done}: {told}", file=sys.stderr, flush=True)
             time.sleep(POLL_SECONDS)
-            delivery = _ask(client, "GET", path)
-    if delivery["state"] != "succeeded":
-        error = delivery["error"] or {"message": f"the delivery was {delivery['state']}"}
-        print(f"tomosim: {error['message']}", file=sys.stderr)
+            delivery = client.delivery(delivery.id)
+    if delivery.state != "succeeded":
+        why = delivery.error.message if delivery.error else f"the delivery was {delivery.state}"
+        print(f"tomosim: {why}", file=sys.stderr)
         return EXIT_FAILED
-    megabytes = delivery["bytes_stored"] / 1e6
-    print(f"{delivery['instances_stored']} instances, {megabytes:.0f} MB stored", file=sys.stderr)
+    print(f"{delivery.instances_stored} instances, {delivery.bytes_stored / 1e6:.0f} MB stored", file=sys.stderr)
     return 0
 
 
@@ -150,24 +154,11 @@ def _client(args: argparse.Namespace) -> Client:
     return Client(args.url)
 
 
-def _path(client: Client, name: str) -> str:
-    """The path of a destination by name or identifier. raises: NoSuchDestinationError"""
-    items = _ask(client, "GET", "/v1/destinations")["items"]
+def _identifier(client: Client, name: str) -> str:
+    """The identifier of a destination by its name (or itself). raises: NoSuchDestinationError"""
+    items = client.destinations()
     for item in items:
-        if name in (item["name"], item["id"]):
-            return f"/v1/destinations/{item['id']}"
-    known = ", ".join(item["name"] for item in items) or "none"
+        if name in (item.name, item.id):
+            return item.id
+    known = ", ".join(item.name for item in items) or "none"
     raise NoSuchDestinationError(f"there is no destination {name!r}; there are: {known}")
-
-
-def _ask(client: Client, method: str, path: str, body: Json | None = None) -> Json:
-    from tomosim.client.calls import Call
-
-    call: Call[Json] = Call(
-        method,
-        path,
-        lambda response: response.json() if response.content else {},
-        json=body,
-        repeatable=method == "GET",
-    )
-    return client._do(call)

@@ -123,7 +123,7 @@ def test_what_is_wrong_is_said(service, capsys):
     assert main(["destination", "add", "closed", "127.0.0.1", "1", "NOBODY", "--url", service]) != 0
     assert "another destination has this name" in capsys.readouterr().err
     assert main(["destination", "add", "bad", "127.0.0.1", "1", "A" * 17, "--url", service]) == 2
-    assert "/called_aet" in capsys.readouterr().err
+    assert "called_aet" in capsys.readouterr().err
     assert main(["destination", "echo", "closed", "--url", service]) == 4
     assert "nothing listens at 127.0.0.1:1" in capsys.readouterr().err
     assert main(["destination", "list", "--url", service]) == 0
