@@ -75,6 +75,7 @@ def orthanc(tmp_path_factory):
                 "DicomPort": dicom,
                 "DicomCheckCalledAet": True,
                 "DicomAlwaysAllowStore": True,
+                "UnknownSopClassAccepted": True,  # label maps are younger than this Orthanc
                 "HttpPort": rest,
                 "RemoteAccessAllowed": False,
             }
