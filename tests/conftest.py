@@ -29,7 +29,7 @@ def pytest_addoption(parser: pytest.Parser) -> None:
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
     if not config.getoption("--production"):
         return
-    chosen = [i for i in items if "backend" in i.fixturenames and not i.get_closest_marker("embedded")]  # type: ignore[attr-defined]
+    chosen = [i for i in items if "backend" in i.fixturenames and not i.get_closest_marker("embedded")]
     config.hook.pytest_deselected(items=[i for i in items if i not in chosen])
     items[:] = chosen
 
