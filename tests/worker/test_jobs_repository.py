@@ -235,3 +235,21 @@ def test_fleet(engine, jobs, queued, clock):
     assert fleet.alive(1e9) == 0
     assert jobs.counts() == {"queued": 1}
     assert fleet.queues()["interactive"][1] == 60
+
+
+def test_a_failure_that_may_be_chance_is_tried_again(jobs):
+    reason = {"kind": "system", "code": "compute-crashed", "message": "killed"}
+    identifier = jobs.create({}, {}).id
+    jobs.claim(identifier, "a")
+    jobs.mark_sent(identifier)
+    assert not jobs.try_again(identifier, "another", reason)
+    assert jobs.try_again(identifier, "a", reason)
+    row = jobs.get(identifier)
+    assert (row.state, row.attempt, row.owner, row.sent, row.error) == ("queued", 1, None, None, None)
+    last = jobs.events_after(identifier, 0)[-1].data
+    assert last == {"state": "queued", "attempt": 1, "reason": reason}
+    assert [job.id for job in jobs.unsent()] == [identifier]
+    jobs.claim(identifier, "b")
+    jobs.cancel(identifier)
+    assert jobs.try_again(identifier, "b", reason)
+    assert jobs.get(identifier).state == "cancelled"  # nobody wants it any more
