@@ -9,7 +9,8 @@ from numpy.typing import NDArray
 
 from simcore.core.artifacts import Phantom
 from simcore.core.geometry import AcquisitionGeometry
-from simcore.projection import coverage, plane_prefix, rays
+from simcore.core.tissues import MAX_TISSUES
+from simcore.projection import coverage, plane_prefix, plane_prefix_maps, rays
 
 
 def line_integrals(
@@ -42,4 +43,38 @@ def line_integrals(
     else:
         step = step_voxels * min(grid.spacing) if sampling == "trilinear" else 0.0
         rays.project_rays(phantom.labels, grid, geometry, view, mu, step_mm=step, out=out)
+    return out
+
+
+def basis_integrals(
+    phantom: Phantom,
+    geometry: AcquisitionGeometry,
+    view: int,
+    basis: NDArray[np.float64],
+    *,
+    ends: NDArray[np.int32] | None = None,
+    out: NDArray[np.float32] | None = None,
+) -> NDArray[np.float32]:
+    """Exact integrals of several maps from the source to every pixel centre of one view, in one pass over the labels.
+
+    basis: (maps, MAX_TISSUES), what each map gives each label, e.g. path lengths of basis materials; 1 to 4 maps.
+    ends: of ``coverage.row_ends`` with a value above 0 for every label that any map knows.
+    returns: float32 (maps, detector.ny, detector.nx), in units of basis times mm; ``out`` where it is given.
+    raises: ValueError for another number of maps. Views that plane prefixes cannot serve take a pass for each map.
+    """
+    if basis.ndim != 2 or not 1 <= len(basis) <= plane_prefix_maps.MAPS or basis.shape[1] != MAX_TISSUES:
+        raise ValueError(
+            f"basis has the shape {basis.shape}; 1 to {plane_prefix_maps.MAPS} maps of {MAX_TISSUES} labels are served"
+        )
+    detector = geometry.detector
+    grid = phantom.grid.moved(z=geometry.support_height)
+    if out is None:
+        out = np.empty((len(basis), detector.ny, detector.nx), np.float32)
+    if plane_prefix.serves(geometry, view):
+        if ends is None:
+            ends = coverage.row_ends(phantom.labels, np.abs(basis).sum(axis=0))
+        plane_prefix_maps.project_maps(phantom.labels, ends, grid, geometry, view, basis, out)
+    else:
+        for values, one in zip(basis, out, strict=True):
+            rays.project_rays(phantom.labels, grid, geometry, view, values, out=one)
     return out

@@ -72,6 +72,14 @@ def project_planes(
     mu: (MAX_TISSUES,), 1/mm.
     out: float32 (detector.ny, detector.nx), overwritten; dimensionless, within 1e-5 of double precision.
     """
+    rows, columns, tile_rows, order, source_z = tasks_of(geometry, view, grid)
+    _project((labels, ends, *_codes(mu)), rows, columns, tile_rows, order, source_z, grid.spacing[2], out)
+
+
+def tasks_of(
+    geometry: AcquisitionGeometry, view: int, grid: Grid
+) -> tuple[Rows, Columns, int, NDArray[np.int64], float]:
+    """What the rays of a view have in common: rows, columns, rows of a tile, order of the tiles, z of the source."""
     detector = geometry.detector
     source_x, source_y, source_z = geometry.sources[view]
     origin, row_direction = geometry.detector_frame(view)
@@ -90,7 +98,7 @@ def project_planes(
     columns = (pixel_x, grid.spacing[0], source_cell, share_bottom, grid.spacing[2] / source_z)
     tile_rows = ROWS_PER_TILE if np.all(stretch == stretch[0]) else 1
     order = spread(-(-detector.ny // tile_rows))
-    _project((labels, ends, *_codes(mu)), rows, columns, tile_rows, order, source_z, grid.spacing[2], out)
+    return rows, columns, tile_rows, order, source_z
 
 
 def _codes(mu: NDArray[np.float64]) -> tuple[NDArray[np.uint8], NDArray[np.float32]]:
@@ -124,9 +132,9 @@ def _project(
         first_row = order[task] * tile_rows
         last_row = min(first_row + tile_rows, len(stretch))
         out[first_row:last_row] = np.float32(0.0)
-        reach = _reach(ends, rows, first_row, last_row)
+        reach = reach_of(ends, rows, first_row, last_row)
         if reach > 0:
-            prefix = _aligned_zeros(last_row - first_row, reach + 1)
+            prefix = aligned_zeros(last_row - first_row, reach + 1)
             if tile_rows > 1:
                 _run_tile(voxels, rows, shared, first_row, last_row, prefix, out)
                 _finish(prefix, rows, shared, squared, edge_z, first_row, out)
@@ -137,7 +145,7 @@ def _project(
 
 
 @numba.njit(cache=True)
-def _aligned_zeros(rows: int, columns: int) -> NDArray[np.float32]:
+def aligned_zeros(rows: int, columns: int) -> NDArray[np.float32]:
     """float32 (rows, columns or a few more), each row from a cache line on: no vector of 16 lies across two."""
     width = -(-columns // 16) * 16
     memory = np.zeros(rows * width + 16, np.float32)
@@ -146,7 +154,7 @@ def _aligned_zeros(rows: int, columns: int) -> NDArray[np.float32]:
 
 
 @numba.njit(cache=True)
-def _reach(ends: NDArray[np.int32], rows: Rows, first: int, last: int) -> int:
+def reach_of(ends: NDArray[np.int32], rows: Rows, first: int, last: int) -> int:
     """Largest x end of the voxel rows that these detector rows can meet."""
     bottom_y, top_y, _, _ = rows
     nz, ny = ends.shape
@@ -182,7 +190,7 @@ def _run_tile(
     flattest = np.abs(top_y[first_row:last_row] - bottom_y[first_row:last_row]).max() / slices
     columns_held = max(COLUMNS_HELD, int(flattest) + 2)
     slots = SLICES_PER_BLOCK * columns_held
-    memory = _aligned_zeros(slots + 1, width)  # the last slot: beside the volume
+    memory = aligned_zeros(slots + 1, width)  # the last slot: beside the volume
     held = np.empty(slots + 1, np.int64)
     scratch = np.zeros(width + 1, np.float32)
     known = np.zeros(last_row - first_row, np.int64)
@@ -196,7 +204,7 @@ def _run_tile(
                 enter_y = bottom_y[row] + slope * k
                 column, final = math.floor(enter_y), math.floor(bottom_y[row] + slope * (k + 1))
                 for c in range(min(column, final), max(column, final) + 1):
-                    slot = _slot(ends, columns_held, k, c)
+                    slot = slot_of(ends, columns_held, k, c)
                     if slot < slots:
                         end = max(end, ends[k, c] + 1)
                         if held[slot] != c:
@@ -205,30 +213,30 @@ def _run_tile(
                 if end == 0:
                     continue
                 first, stop = start[k], start[k + 1]
-                entered = memory[_slot(ends, columns_held, k, column)]
+                entered = memory[slot_of(ends, columns_held, k, column)]
                 step = 1 if final > column else -1
                 turn = np.float32((column + (step > 0) - enter_y) / slope)
                 if final == column:
                     _cross(sums, entered, first, stop, pixel, boundary, fraction, end, sink)
-                    _add(sums, entered, end, np.float32(1.0))
+                    add(sums, entered, end, np.float32(1.0))
                 elif final == column + step:
-                    left = memory[_slot(ends, columns_held, k, final)]
+                    left = memory[slot_of(ends, columns_held, k, final)]
                     _cross_turning(sums, entered, left, turn, first, stop, pixel, boundary, fraction, end, sink)
-                    _add_turning(sums, entered, left, end, turn)
+                    add_turning(sums, entered, left, end, turn)
                 else:
                     _cross_nothing(sums, first, stop, pixel, boundary, end, sink)
                     low = np.float32(0.0)
                     for c in range(column, final + step, step):
                         high = np.float32((c + (step > 0) - enter_y) / slope) if c != final else np.float32(1.0)
-                        passed = memory[_slot(ends, columns_held, k, c)]
+                        passed = memory[slot_of(ends, columns_held, k, c)]
                         _cross_part(passed, low, high, first, stop, pixel, boundary, fraction, end, sink)
-                        _add(sums, passed, end, high - low)
+                        add(sums, passed, end, high - low)
                         low = high
             known[row - first_row] = end
 
 
 @numba.njit(cache=True)
-def _slot(ends: NDArray[np.int32], columns_held: int, k: int, column: int) -> int:
+def slot_of(ends: NDArray[np.int32], columns_held: int, k: int, column: int) -> int:
     """Where the differences of a column are kept; the last slot for columns without tissue."""
     if column < 0 or column >= ends.shape[1] or ends[k, column] == 0:
         return SLICES_PER_BLOCK * columns_held
@@ -267,13 +275,13 @@ def _differences(
 
 
 @numba.njit(cache=True, fastmath=FAST, error_model="numpy")
-def _add(prefix: NDArray[np.float32], step: NDArray[np.float32], end: int, part: np.float32) -> None:
+def add(prefix: NDArray[np.float32], step: NDArray[np.float32], end: int, part: np.float32) -> None:
     for b in range(end):
         prefix[b] += part * step[b]
 
 
 @numba.njit(cache=True, fastmath=FAST, error_model="numpy")
-def _add_turning(
+def add_turning(
     prefix: NDArray[np.float32], entered: NDArray[np.float32], left: NDArray[np.float32], end: int, turn: np.float32
 ) -> None:
     rest = np.float32(1.0) - turn

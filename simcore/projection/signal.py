@@ -18,7 +18,7 @@ def pixel_values(
     """round(open_field mean(exp(-integral))), not above the largest number of ``bits``.
 
     integrals: float32 (n ny, n nx), dimensionless: n x n rays a pixel. The mean is that of intensities, as a detector
-    element adds up what falls on it; exp of the mean path would lose less light than a border within a pixel does.
+    element adds up what falls on it; the mean path would darken pixels that a border crosses.
     out: uint16 (ny, nx), overwritten and returned. The exponential is accurate to 1e-12 relative to 1.
     """
     if integrals.shape == out.shape:
