@@ -8,7 +8,7 @@ from typing import Any
 MEASURED = """# Accuracy of the projections
 
 Made by `python -m bench.projection`: a ball of fat of 46 mm with 25 masses in capsules of 0.4 mm, whose line integrals
-have closed forms; 20 degrees, central ray through 100 mm of air. Errors are rms over rays through it.
+have closed forms, seen from a tube angle of 20 degrees. Errors are rms over rays through it.
 
 ## Order of convergence
 

@@ -320,13 +320,14 @@ def _warm_up(args: argparse.Namespace) -> None:
     from simcore import pipeline, presets
     from simcore.core.store import Store
     from simcore.phantom.spec import DuctSpec, TextureSpec
+    from simcore.projection.spec import SlabSpec
     from tomosim.console import StageDisplay
 
     tiny = presets.get("tiny")
     variants = [
         tiny,
-        tiny.with_(physics=tiny.physics.with_(sampling="trilinear")),
-        tiny.with_(acquisition=tiny.acquisition.with_(detector_range_degrees=4.0)),
+        tiny.with_(physics=tiny.physics.with_(sampling="trilinear", rays_per_pixel_edge=2)),
+        tiny.with_(acquisition=tiny.acquisition.with_(detector_range_degrees=4.0, paddle=SlabSpec())),
         tiny.with_(phantom=tiny.phantom.with_(texture=TextureSpec(amplitude_mm=1.0), ducts=DuctSpec())),
     ]
     with tempfile.TemporaryDirectory() as folder:

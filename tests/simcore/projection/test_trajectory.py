@@ -268,7 +268,9 @@ def case(*views, **changes) -> SimulationSpec:
 def test_estimates_know_trajectories():
     plain = [([0.0, y, 600.0], None) for y in (-100.0, 0.0, 100.0)]
     estimate.check(case(*plain))
-    with pytest.raises(SpecError, match=r"trajectory\.1\.source_mm = x = 30: reconstruction\.kind = 'fbp' needs"):
+    with pytest.raises(
+        SpecError, match=r"trajectory\.1\.source_mm = \[30\.0, 0\.0, 600\.0\]: reconstruction\.kind = 'fbp' needs"
+    ):
         estimate.check(case(plain[0], ([30.0, 0.0, 600.0], None)))
     estimate.check(case(plain[0], ([30.0, 0.0, 600.0], None), reconstruction=Sart(slice_mm=2.0)))
     with pytest.raises(SpecError, match="not above the top of the phantom"):
@@ -279,3 +281,25 @@ def test_estimates_know_trajectories():
     )
     with pytest.raises(SpecError, match=r"pixels_x = 20: the breast reaches"):
         estimate.check(narrow)
+
+
+def test_estimates_know_what_rays_cost():
+    spec = presets.get("ge-senographe-ds")
+
+    def needs(**physics):
+        return estimate.estimate(spec.with_(physics=PhysicsSpec(**physics)))
+
+    plain, four, sampled = needs(), needs(rays_per_pixel_edge=2), needs(sampling="trilinear")
+    assert four.memory_bytes - plain.memory_bytes == 3 * 4 * 2304 * 1920
+    assert four.seconds - plain.seconds == pytest.approx(3 * 15 * 2304 * 1920 * 1e-8, abs=0.2)
+    assert sampled.seconds > plain.seconds + 50
+    assert needs(sampling="trilinear", step_voxels=0.1).seconds > sampled.seconds + 150
+    moved = [
+        ViewSpec(source_mm=[0.0, y, 600.0], detector=turned(y=1.0, origin=(0.0, 0.0, -9.0))) for y in (-50.0, 50.0)
+    ]
+    posed_case = spec.with_(acquisition=AcquisitionSpec(trajectory=moved))
+    rest = [view.with_(detector=None) for view in moved]
+    assert (
+        estimate.estimate(posed_case).seconds
+        > estimate.estimate(spec.with_(acquisition=AcquisitionSpec(trajectory=rest))).seconds + 2
+    )
