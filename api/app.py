@@ -32,6 +32,7 @@ from api.deps import Services
 from api.dicomweb import routes as dicomweb
 from api.dicomweb.cors import ViewerOrigins
 from api.guard import Guard
+from api.head import Head
 from api.requests import Requests
 from api.resources import PREFIX
 from api.slow import SlowBodies
@@ -91,6 +92,7 @@ def create_app(settings: Settings | None = None, messenger: Messenger | None = N
     )
     errors.install(app)
     app.add_middleware(SlowBodies)
+    app.add_middleware(Head)
     app.add_middleware(Guard)
     if chosen.viewer_origins:
         app.add_middleware(ViewerOrigins, origins=chosen.viewer_origins)

@@ -27,8 +27,8 @@ FILE_MODE = 0o100644
 
 _BINARY: Json = {"schema": {"type": "string", "format": "binary"}}
 _FILE_RESPONSES: dict[int | str, Json] = {
-    200: {"content": {"application/octet-stream": _BINARY}},
-    206: {"description": "the range that was asked for"},
+    200: {"content": dict.fromkeys(files.ALL_MEDIA_TYPES, _BINARY)},
+    206: {"description": "the range that was asked for", "content": dict.fromkeys(files.ALL_MEDIA_TYPES, _BINARY)},
     304: {"description": "not changed"},
     410: {"description": "expired: not in the store any more"},
     416: {"description": "range-not-satisfiable"},
@@ -58,7 +58,6 @@ def list_artifacts(caller: Read, identifier: Identifier, served: Served) -> Arti
     return ArtifactList(items=items, links=links)
 
 
-@router.head("/artifacts/{name:path}", include_in_schema=False)
 @router.get("/artifacts/{name:path}", response_class=Response, responses=_FILE_RESPONSES)
 def get_artifact(caller: Read, identifier: Identifier, name: str, served: Served, request: Request) -> Response:
     """One file; byte ranges are served. Its entity tag is its SHA-256: the content never changes."""

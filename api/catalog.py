@@ -20,6 +20,13 @@ from worker.contract import QUEUES, STATES
 
 router = APIRouter(tags=["catalog"])
 
+
+class SchemaResponse(JSONResponse):
+    """A JSON Schema."""
+
+    media_type = "application/schema+json"
+
+
 SCHEMAS: dict[str, type[BaseModel]] = {"simulation": SimulationSpec, "study": StudySpec, "reading": Reading}
 
 
@@ -49,13 +56,13 @@ def list_schemas(caller: Read) -> Listing:
     return Listing(items=[{"name": name, "href": f"{PREFIX}/schemas/{name}"} for name in SCHEMAS])
 
 
-@router.get("/schemas/{name}")
-def get_schema(caller: Read, name: str) -> JSONResponse:
+@router.get("/schemas/{name}", response_class=SchemaResponse)
+def get_schema(caller: Read, name: str) -> SchemaResponse:
     """JSON Schema (2020-12) of a document; quantities carry their ``unit``."""
     if name not in SCHEMAS:
         raise ApiError(404, "schema-not-found", f"there is no schema {name!r}; there are: {', '.join(SCHEMAS)}")
     schema = {"$schema": "https://json-schema.org/draft/2020-12/schema", **SCHEMAS[name].model_json_schema()}
-    return JSONResponse(schema, media_type="application/schema+json")
+    return SchemaResponse(schema)
 
 
 @router.get("/service-info")

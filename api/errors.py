@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import math
 from collections.abc import Mapping
 from http import HTTPStatus
@@ -11,6 +12,7 @@ from fastapi import FastAPI, Request
 from fastapi.exceptions import RequestValidationError
 from fastapi.responses import JSONResponse, Response
 from pydantic import BaseModel, Field
+from sqlalchemy.exc import DBAPIError, InterfaceError, OperationalError
 from starlette.exceptions import HTTPException
 from starlette.routing import Match
 
@@ -19,6 +21,10 @@ from worker import logs
 from worker.jobs import NotFoundError
 from worker.quotas import QuotaError
 from worker.retention import ExpiredError
+
+log = logging.getLogger(__name__)
+
+SOON = {"Retry-After": "5"}
 
 METHODS = ("GET", "HEAD", "POST", "PUT", "PATCH", "DELETE")
 
@@ -98,6 +104,8 @@ def from_simulation_error(error: SimulationError) -> ApiError:
     if isinstance(error, StoreError) and error.code == "storage-full":
         return ApiError(507, "storage-full", str(error))
     if isinstance(error, StoreError) and error.code == "store-unavailable":
+        return ApiError(503, "store-unavailable", str(error), headers=SOON)
+    if isinstance(error, StoreError) and error.code == "store-unavailable":
         return ApiError(503, error.code, str(error), headers={"Retry-After": "5"})
     return ApiError(500, error.code, str(error))
 
@@ -120,11 +128,12 @@ def shown(value: Any) -> Any:
 def allowed_methods(request: Request) -> list[str]:
     """The methods of all routes on this path (a router tells only those of the first one it finds)."""
     routes = request.app.router.routes
-    return [
+    found = [
         method
         for method in METHODS
         if any(route.matches({**request.scope, "method": method})[0] == Match.FULL for route in routes)
     ]
+    return sorted({*found, "HEAD"}, key=METHODS.index) if "GET" in found else found
 
 
 def install(app: FastAPI) -> None:
@@ -168,6 +177,13 @@ def install(app: FastAPI) -> None:
         ]
         detail = "; ".join(f"{item['parameter']} = {item['value']!r}: {item['detail']}" for item in items)
         return problem_response(request.url.path, ApiError(422, "invalid-request", detail, errors=items))
+
+    @app.exception_handler(OperationalError)
+    @app.exception_handler(InterfaceError)
+    async def _database(request: Request, error: DBAPIError) -> Response:
+        log.error("the database does not answer", extra={"error": repr(error)})
+        answer = ApiError(503, "database-unavailable", "the database does not answer: try again", headers=SOON)
+        return problem_response(request.url.path, answer)
 
     @app.exception_handler(QuotaError)
     async def _quota(request: Request, error: QuotaError) -> Response:

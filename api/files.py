@@ -28,10 +28,14 @@ MEDIA_TYPES = {
     ".txt": "text/plain; charset=utf-8",
 }
 
+ANY = "application/octet-stream"
+
+ALL_MEDIA_TYPES = (*MEDIA_TYPES.values(), ANY)
+
 
 def media_type(name: str) -> str:
     """Media type of a file, by its name."""
-    return MEDIA_TYPES.get(Path(name).suffix.lower(), "application/octet-stream")
+    return MEDIA_TYPES.get(Path(name).suffix.lower(), ANY)
 
 
 def read_chunks(path: Path, start: int = 0, length: int | None = None) -> Iterator[bytes]:
@@ -73,7 +77,7 @@ def byte_range(header: str | None, size: int) -> tuple[int, int] | None:
 
 
 def file_response(request: Request, store: Store, ref: FileRef, name: str) -> Response:
-    """The answer to GET or HEAD of a stored file.
+    """The answer to GET of a stored file.
 
     raises: ApiError 410 where it is not in the store any more, 416
     """
@@ -99,8 +103,6 @@ def file_response(request: Request, store: Store, ref: FileRef, name: str) -> Re
     if part is not None:
         status = 206
         headers["Content-Range"] = f"bytes {start}-{start + length - 1}/{ref.size}"
-    if request.method == "HEAD":
-        return Response(status_code=status, headers=headers, media_type=kind)
     return StreamingResponse(store.stream(ref, start, length), status, headers, media_type=kind)
 
 
