@@ -48,7 +48,16 @@ def unexpired(now: float) -> sa.ColumnElement[bool]:
 def set_expiry(connection: sa.Connection, row: Kept, now: float) -> None:
     """Called where a simulation has ended: from now on it is known how long its files are kept."""
     c = simulations.c
-    mine = c.id == row.id if row.study_id is None else c.study_id == row.study_id
+    _set_expiry(connection, c.id == row.id if row.study_id is None else c.study_id == row.study_id, now)
+
+
+def set_study_expiry(connection: sa.Connection, study_id: str, now: float) -> None:
+    """Called where a study is seen to have ended: two last cases at the same moment do not see one another."""
+    _set_expiry(connection, simulations.c.study_id == study_id, now)
+
+
+def _set_expiry(connection: sa.Connection, mine: sa.ColumnElement[bool], now: float) -> None:
+    c = simulations.c
     unfinished = sa.exists().where(mine, c.state.not_in(FINAL_STATES))
     if not connection.scalar(sa.select(unfinished)):
         # Retried cases of a study do not bring back what has expired meanwhile.

@@ -15,6 +15,7 @@ from worker.database import events, metadata, reading, simulations
 from worker.jobs import UNKNOWN, Jobs, Simulation
 from worker.leases import Json, NotFoundError
 from worker.quotas import Submitter
+from worker.retention import set_study_expiry
 
 STUDY_QUEUE: Queue = "batch"
 
@@ -245,6 +246,7 @@ class Studies:
             if not found or not found[0].is_final:
                 return False
             connection.execute(studies.update().where(*untold).values(announced=now))
+            set_study_expiry(connection, identifier, now)
             webhooks.announce(connection, now, "study.finished", lambda: _told(found[0]))
         return True
 

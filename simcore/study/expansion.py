@@ -63,8 +63,9 @@ def expand(study: StudySpec) -> Iterator[Case]:
     """
     defaults = _defaults(study.base)
     axes = [_steps(axis, number) for number, axis in enumerate(study.axes)]
+    base = json.dumps(study.base)
     for number, combination in enumerate(itertools.product(*axes), start=1):
-        specification: dict[str, Json] = deepcopy(study.base)
+        specification: dict[str, Json] = json.loads(base)  # a copy; deepcopy takes ten times as long
         specification["name"] = _name(study, number)
         coordinates: dict[str, Json] = {}
         sources: dict[str, str] = {}

@@ -161,7 +161,7 @@ class StudySpec(Spec):
         try:
             study = cls.model_validate_json(text)
         except ValidationError as error:
-            raise spec_error(cls, error) from None
+            raise spec_error(cls, error, "study") from None
         try:
             canonical(study.model_dump(mode="json"))
         except ValueError:

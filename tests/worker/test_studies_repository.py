@@ -163,3 +163,17 @@ def test_many_change_one_study_at_once(studies, jobs, make):
         row = jobs.get(identifier)
         assert states(jobs, identifier)[-1] == row.state
         assert jobs.events_after(identifier, 0)[-1].sequence == row.revision
+
+
+def test_how_long_files_are_kept_is_known_though_the_last_cases_did_not_see_one_another(
+    studies, jobs, engine, clock, monkeypatch
+):
+    study = studies.create("mine", {}, ["seed"], {}, [case(1), case(2)], retention=60.0)
+    with monkeypatch.context() as patch:
+        patch.setattr("worker.jobs.keeping.set_expiry", lambda *_: None)
+        for row in studies.cases(study.id):
+            jobs.claim(row.id, "a")
+            jobs.succeed(row.id, "a", {"results": {}, "files": {}})
+    assert [row.expires_at for row in studies.cases(study.id)] == [None, None]
+    studies.announce_finished()
+    assert [row.expires_at for row in studies.cases(study.id)] == [clock.now + 60] * 2
