@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from contextlib import suppress
-from typing import Annotated
+from typing import Annotated, Any
 
 from fastapi import Depends, Path, Request
 
 from api.auth import Read
 from api.deps import Services
-from api.dicomweb.query import UID
+from api.dicomweb.query import FRAMES, UID
 from api.errors import MAX_SHOWN, ApiError
 from worker.dicom_index import Instance
 from worker.dicom_indexer import Indexer
@@ -18,24 +18,32 @@ from worker.retention import ExpiredError
 PREFIX = "/dicomweb"
 
 
+# Told, not enforced by the framework: a wrong identifier is answered with 400 as the standard says, not with 422.
+_UID_FORM: dict[str, Any] = {"pattern": f"^{UID.pattern}$"}
+
+
 def _checked(name: str, value: str) -> str:
     if not UID.fullmatch(value):
         raise ApiError(400, "bad-uid", f"{name} = {value[:MAX_SHOWN]!r}: 1 to 64 digits and dots are allowed")
     return value
 
 
-def _study(study: Annotated[str, Path(description="Study Instance UID")]) -> str:
+def _study(study: Annotated[str, Path(description="Study Instance UID", json_schema_extra=_UID_FORM)]) -> str:
     return _checked("study", study)
 
 
-def _series(series: Annotated[str, Path(description="Series Instance UID")]) -> str:
+def _series(series: Annotated[str, Path(description="Series Instance UID", json_schema_extra=_UID_FORM)]) -> str:
     return _checked("series", series)
 
 
-def _instance(instance: Annotated[str, Path(description="SOP Instance UID")]) -> str:
+def _instance(instance: Annotated[str, Path(description="SOP Instance UID", json_schema_extra=_UID_FORM)]) -> str:
     return _checked("instance", instance)
 
 
+FrameList = Annotated[
+    str,
+    Path(description="numbers from 1 on, separated by commas", json_schema_extra={"pattern": f"^{FRAMES.pattern}$"}),
+]
 StudyUID = Annotated[str, Depends(_study)]
 SeriesUID = Annotated[str, Depends(_series)]
 InstanceUID = Annotated[str, Depends(_instance)]

@@ -26,6 +26,7 @@ COMMA_LISTS = ("Modality", "ModalitiesInStudy", "PatientSex")
 """Codes: they hold no comma, and clients (OHIF) separate several by one."""
 
 UID = re.compile(r"[0-9.]{1,64}")
+FRAMES = re.compile(r"[0-9]{1,9}(,[0-9]{1,9})*")
 _TAG = re.compile(r"[0-9A-Fa-f]{8}")
 _NUMBER = re.compile(r"[+-]?[0-9]{1,9}")
 _DATE = re.compile(r"[0-9]{8}")

@@ -12,7 +12,7 @@ from pydicom.uid import BreastTomosynthesisImageStorage
 
 from api.deps import Served, Services
 from api.dicomweb.accept import RELATED, choose_picture, not_acceptable
-from api.dicomweb.common import Indexing, InstanceUID, SeriesUID, StudyUID, find, require_files
+from api.dicomweb.common import FrameList, Indexing, InstanceUID, SeriesUID, StudyUID, find, require_files
 from api.dicomweb.frames import Frames
 from api.dicomweb.multipart import Part, multipart_response, single_response
 from api.dicomweb.rendering import Viewport, Wish, look, parse, picture
@@ -37,11 +37,19 @@ _PICTURE: dict[str, Any] = {
     },
     "openapi_extra": {
         "parameters": [
-            {"name": name, "in": "query", "required": False, "description": text, "schema": {"type": "string"}}
-            for name, text in (
-                ("window", "centre,width[,linear|linear-exact|sigmoid]"),
-                ("viewport", "width,height[,x,y,w,h]"),
-                ("quality", "of JPEG, 1 to 100"),
+            {"name": name, "in": "query", "required": False, "description": text, "schema": schema}
+            for name, text, schema in (
+                (
+                    "window",
+                    "centre,width[,linear|linear-exact|sigmoid]",
+                    {"type": "string", "pattern": "^-?[0-9]{1,9},[1-9][0-9]{0,8}(,(linear|linear-exact|sigmoid))?$"},
+                ),
+                (
+                    "viewport",
+                    "width,height[,x,y,w,h]",
+                    {"type": "string", "pattern": "^[1-9][0-9]{0,2},[1-9][0-9]{0,2}$"},
+                ),
+                ("quality", "of JPEG", {"type": "integer", "minimum": 1, "maximum": 100}),
             )
         ]
     },
@@ -68,7 +76,7 @@ async def rendered_frames(
     study: StudyUID,
     series: SeriesUID,
     instance: InstanceUID,
-    frames: str,
+    frames: FrameList,
     request: Request,
     served: Served,
     indexing: Indexing,
@@ -110,7 +118,7 @@ async def frame_thumbnail(
     study: StudyUID,
     series: SeriesUID,
     instance: InstanceUID,
-    frames: str,
+    frames: FrameList,
     request: Request,
     served: Served,
     indexing: Indexing,

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import hashlib
-import re
 from collections.abc import Iterator
 from typing import Any
 
@@ -24,6 +23,7 @@ from api.dicomweb.accept import (
     not_acceptable,
 )
 from api.dicomweb.common import (
+    FrameList,
     Indexing,
     InstanceUID,
     SeriesUID,
@@ -35,6 +35,7 @@ from api.dicomweb.common import (
 from api.dicomweb.frames import Frames, uncompressed_head
 from api.dicomweb.metadata import bulk_value, is_pixel_data, metadata_json
 from api.dicomweb.multipart import Part, multipart_response, single_response
+from api.dicomweb.query import FRAMES
 from api.errors import MAX_SHOWN, ApiError
 from worker.dicom_index import Instance
 from worker.dicom_indexer import Indexer
@@ -113,7 +114,7 @@ def retrieve_frames(
     study: StudyUID,
     series: SeriesUID,
     instance: InstanceUID,
-    frames: str,
+    frames: FrameList,
     request: Request,
     served: Served,
     indexing: Indexing,
@@ -160,7 +161,7 @@ def one_with_frames(served: Services, indexing: Indexer, study: str, series: str
 
 def frame_numbers(text: str, frames: int) -> list[int]:
     """The numbers of "1,2,5". raises: ApiError 400 where it is no such list, 404 where there is no such frame"""
-    if not re.fullmatch(r"[0-9]{1,9}(,[0-9]{1,9})*", text):
+    if not FRAMES.fullmatch(text):
         raise ApiError(
             400, "bad-frames", f"frames = {text[:MAX_SHOWN]!r}: numbers from 1 on, separated by commas, are allowed"
         )

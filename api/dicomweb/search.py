@@ -52,9 +52,17 @@ _DOCUMENTED: dict[str, Any] = {
         for name, description, schema in (
             ("limit", "results of one answer, at most 1000", {"type": "integer", "minimum": 1, "maximum": 10**9}),
             ("offset", "results to leave out", {"type": "integer", "minimum": 0, "maximum": 10**9}),
-            ("includefield", "keywords or tags, separated by commas, or all", {"type": "string"}),
+            (
+                "includefield",
+                "keywords or tags, separated by commas, or all",
+                {"type": "string", "pattern": "^(all|([0-9A-F]{8}(,[0-9A-F]{8})*)?)$"},
+            ),
             ("fuzzymatching", "true: a Warning, literal matching", {"type": "string", "enum": ["true", "false"]}),
-            ("PatientID", "any attribute by keyword or tag; wildcards * and ?", {"type": "string"}),
+            (
+                "PatientID",
+                "any attribute by keyword or tag; wildcards * and ?",
+                {"type": "string", "pattern": r"^[^\x00-\x1f\x7f]{0,1024}$"},
+            ),
         )
     ]
 }
