@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import fnmatch
 import uuid
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from functools import partial
 from typing import Any, ClassVar
@@ -34,6 +34,9 @@ from worker.leases import NO_OWNER, Json, Leased, Leases, NotFoundError, StateEr
 
 MAX_BACKOFF_SECONDS = 600.0
 
+
+COMMITTED = "committed"
+"""Code of an instance of which the peer has said that it keeps it."""
 
 deliveries = sa.Table(
     "deliveries",
@@ -348,6 +351,36 @@ class Deliveries(Leases[Delivery]):
             message = f"{found.name}: {outcome.message or state}"
             self._change(connection, identifier, STATES, {"message": message, **counts}, kind=EVENT_PROGRESS, data=data)
         return state
+
+    def uncommitted(self, identifier: str) -> list[Instance]:
+        """Instances that are stored and of which the peer has not said yet that it keeps them, in order."""
+        c = instances.c
+        query = sa.select(*_INSTANCE_COLUMNS).where(
+            c.delivery_id == identifier, c.state == "stored", c.code != COMMITTED
+        )
+        with reading(self.engine) as connection:
+            return [Instance(**row) for row in connection.execute(query.order_by(c.number)).mappings()]
+
+    def commit(self, identifier: str, committed: Sequence[int], failed: Mapping[int, str]) -> None:
+        """Writes down a report of storage commitment. committed, failed: numbers of instances; why they failed."""
+        c, d = instances.c, deliveries.c
+        with self.engine.begin() as connection:
+            for number in committed:
+                mine = (c.delivery_id == identifier, c.number == number, c.state == "stored")
+                connection.execute(instances.update().where(*mine).values(code=COMMITTED))
+            sizes = 0
+            for number, reason in failed.items():
+                mine = (c.delivery_id == identifier, c.number == number, c.state == "stored")
+                values = {"state": "failed", "code": "not-committed", "message": f"the peer does not keep it: {reason}"}
+                sizes += connection.scalar(instances.update().where(*mine).values(values).returning(c.size)) or 0
+            counts = {
+                "instances_stored": d.instances_stored - len(failed),
+                "instances_failed": d.instances_failed + len(failed),
+                "bytes_stored": d.bytes_stored - sizes,
+                "message": f"{len(committed)} instances committed, {len(failed)} not",
+            }
+            data = {"committed": len(committed), "not_committed": len(failed)}
+            self._change(connection, identifier, STATES, counts, kind=EVENT_PROGRESS, data=data)
 
     def progress(self, identifier: str, owner: str, message: str) -> bool:
         """Says what is going on and renews the lease; False where the delivery is not the owner's any more."""

@@ -106,6 +106,11 @@ class Destination(Spec):
         "compressed on the way; empty: as they are, decompressed where the peer refuses that",
     )
 
+    commitment_seconds: float | None = quantity(
+        "storage commitment is asked for, and its report waited for so long; null: not asked for", unit="s",
+        default=None, ge=0.1, le=86_400,
+    )  # fmt: skip
+
     @model_validator(mode="after")
     def _something_can_be_sent(self) -> Self:
         if self.transfer_syntaxes and not {"explicit", "implicit"} & set(self.transfer_syntaxes):

@@ -121,6 +121,12 @@ class Settings(BaseSettings):
         "other host only https at public addresses",
     )
     delivery_slots: int = Field(2, ge=1, le=64, description="deliveries one delivery worker makes at a time")
+    commitment_address: str = Field(
+        "",
+        pattern=r"^$|^[^:\s]+:[0-9]{1,5}$|^\[[0-9A-Fa-f:]+\]:[0-9]{1,5}$",
+        description="address and port (0.0.0.0:11113) at which the delivery worker hears reports of storage "
+        "commitment; empty: only on the association of the request",
+    )
     destination_hosts: str = Field(
         "",
         description="which hosts may be destinations, separated by commas: names, `*.domain`, addresses, networks "

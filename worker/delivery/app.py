@@ -14,6 +14,7 @@ from sqlalchemy.exc import SQLAlchemyError
 from worker.contract import TASK_DELIVER
 from worker.database import connect
 from worker.deliveries import Deliveries
+from worker.delivery.commitment import Listener
 from worker.delivery.sender import Sender
 from worker.fleet import BEAT_SECONDS, DELIVERY_PREFIX, Fleet
 from worker.messages import create_celery
@@ -40,6 +41,9 @@ class DeliveryWorker:
         self.celery = create_celery(settings)
         self.celery.task(self._deliver, name=TASK_DELIVER)
 
+        address = settings.commitment_address
+        self.listener = Listener(address, self.sender.reports) if address else None
+
     def run(self) -> int:
         """Works until SIGTERM or SIGINT; the exit code."""
         signals.worker_ready.connect(self._ready, weak=False)
@@ -62,6 +66,8 @@ class DeliveryWorker:
             return end.code if isinstance(end.code, int) else int(end.code is not None)
         finally:
             self.stopping.set()
+            if self.listener is not None:
+                self.listener.close()
             try:
                 self.fleet.gone(self.name)
             except SQLAlchemyError:

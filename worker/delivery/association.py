@@ -20,8 +20,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from pydicom.dataset import Dataset
 from pydicom.uid import UID
-from pynetdicom import AE, _config, build_context
+from pynetdicom import AE, _config, build_context, evt
 from pynetdicom.association import Association
 from pynetdicom.pdu import P_DATA_TF
 from pynetdicom.pdu_primitives import P_DATA, MaximumLengthNotification
@@ -291,6 +292,17 @@ class Peer:
             self._end()
             return None
 
+    def act(self, information: Dataset, action: int, sop_class: str, sop_instance: str) -> int | None:
+        """N-ACTION; the status, None where no answer came."""
+        self._association.dimse_timeout = self.destination.limits.response_seconds
+        try:
+            answer, _ = self._association.send_n_action(information, action, sop_class, sop_instance)
+            status: int | None = answer.get("Status")
+            return status
+        except (RuntimeError, ConnectionError):
+            self._end()
+            return None
+
     def why(self) -> str:
         """Why no answer came."""
         if self._socket.failure is not None:
@@ -344,10 +356,11 @@ def connect(
     secrets: Path = Path(),
     throttle: Throttle | None = None,
     count: Callable[[int], None] = lambda size: None,
+    on_report: Callable[[Any], Any] | None = None,
 ) -> Peer:
     """Opens an association that offers each kind by itself, so that one that is refused harms no other.
 
-    raises: AssociationError; DestinationNotAllowed
+    on_report: handler of N-EVENT-REPORT. raises: AssociationError; DestinationNotAllowed
     """
     entity = _Entity(destination, throttle or Throttle(None), count)
     where = f"{destination.host}:{destination.port}"
@@ -370,6 +383,7 @@ def connect(
         ae_title=destination.called_aet,
         max_pdu=min(destination.limits.maximum_pdu, 131_072),
         tls_args=tls,
+        evt_handlers=[(evt.EVT_N_EVENT_REPORT, on_report)] if on_report else [],
     )
     assert entity.socket is not None
     if association.is_established:

@@ -6,7 +6,7 @@ import logging
 import threading
 import time
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -16,9 +16,10 @@ from simcore.core.errors import SimulationError, StoreError
 from simcore.core.store import FileRef, Store
 from worker.contract import INTERNAL_ERROR
 from worker.deliveries import Deliveries, Delivery, Instance
-from worker.delivery import association, outcomes
+from worker.delivery import association, commitment, outcomes
 from worker.delivery.association import AssociationError, Kind, Peer, Throttle
-from worker.delivery.files import FileError, Header, converted, offered, read_header
+from worker.delivery.commitment import Reports
+from worker.delivery.files import UNCOMPRESSED, FileError, Header, converted, offered, read_header
 from worker.delivery.outcomes import Json, Outcome
 from worker.destinations import Destination, Destinations
 from worker.leases import NotFoundError
@@ -54,6 +55,7 @@ class Sender:
         self.destinations = Destinations(deliveries.engine, deliveries.clock)
         self.store = store
         self.stopping = stopping
+        self.reports = Reports()
         self._claims = 0
 
     def run(self, identifier: str) -> None:
@@ -94,7 +96,7 @@ class Sender:
         if tour.refusal is not None:
             refusal = tour.refusal
             return lambda: self.deliveries.fail(identifier, owner, refusal)
-        if self.deliveries.instances(identifier, state="waiting", limit=1):
+        if tour.uncommitted or self.deliveries.instances(identifier, state="waiting", limit=1):
             limits = destination.limits
             trouble = tour.trouble or _error("not-finished", "not every instance was sent")
             return lambda: self.deliveries.postpone(identifier, owner, trouble, limits.attempts, limits.backoff_seconds)
@@ -161,7 +163,9 @@ class Tour:
         self.folder = folder
         self.refusal: Json | None = None
         self.trouble: Json | None = None
+        self.uncommitted = False
         self.bytes_sent = 0
+        self._reports = sender.reports
         rate = destination.limits.bandwidth_MBps
         self._throttle = Throttle(None if rate is None else rate * 1e6)
         self._stopped = threading.Event()
@@ -195,6 +199,14 @@ class Tour:
             while self._goes_on and (portion := self._portion(last)):
                 last = portion[-1].number
                 self._deliver(portion)
+            if self._goes_on and self.destination.commitment_seconds is not None:
+                self._commit(self.destination.commitment_seconds)
+        except AssociationError as error:
+            self._no_association(error)
+        except FileError as error:
+            self.refusal = _error("file-not-readable", f"no storage commitment: {error}")
+        except SimulationError as error:
+            self.refusal = error.to_dict()
         except Exception as error:
             log.exception("delivery failed", extra={"delivery": self.row.id})
             self.refusal = _internal(error)
@@ -219,6 +231,36 @@ class Tour:
             thread.start()
         for thread in threads:
             thread.join()
+
+    def _commit(self, seconds: float) -> None:
+        """Asks for storage commitment of all that is stored. raises: AssociationError"""
+        found = {i.sop_instance: i for i in self.deliveries.uncommitted(self.row.id) if i.sop_instance}
+        if not found:
+            return
+        self.uncommitted = True
+        paths = [self.store.path(FileRef(i.sha256, i.size)) for i in found.values()]
+        headers = [read_header(path) for path in paths]
+        peer = self._connect([Kind(commitment.PUSH_MODEL, s) for s in UNCOMPRESSED])
+        try:
+            references = [commitment.Reference(h.kind.sop_class, h.sop_instance) for h in headers]
+            transaction = commitment.request(peer, references, self._reports)
+            report = self._reports.wait(transaction, seconds, lambda: not self._stopped.is_set())
+        finally:
+            self._close(peer)
+        if self._stopped.is_set():
+            return
+        if report is None:
+            text = (
+                f"{self.destination.called_aet} took the request for storage commitment and sent no report within "
+                f"{seconds:g} s: tell it the address for {self.destination.calling_aet} and set "
+                "TOMOSIM_COMMITMENT_ADDRESS, or raise commitment_seconds; everything is stored"
+            )
+            raise AssociationError("commitment-timeout", text, again=False)
+        self.uncommitted = False
+        committed = [i.number for uid, i in found.items() if uid in report.committed]
+        others = {i.number: report.failed.get(uid, "its report does not name it") for uid, i in found.items()}
+        failed = {number: why for number, why in others.items() if number not in committed}
+        self.deliveries.commit(self.row.id, committed, failed)
 
     def _prepare(self, instance: Instance) -> Parcel | None:
         """Reads what a file is; None where it cannot be sent, which is written down."""
@@ -251,7 +293,7 @@ class Tour:
         try:
             while not self._stopped.is_set() and failures < FAILURES_IN_A_ROW and (parcel := self._take()):
                 if peer is None:
-                    peer = self._connect()
+                    peer = self._connect(self._kinds)
                 outcome = self._send(peer, parcel)
                 if outcome.verdict == "again" and self._stopped.is_set():
                     return  # we ended the association: not the peer's doing
@@ -276,14 +318,15 @@ class Tour:
         with self._lock:
             return self._left.popleft() if self._left and self.refusal is None else None
 
-    def _connect(self) -> Peer:
+    def _connect(self, kinds: Iterable[Kind]) -> Peer:
         peer = association.connect(
             self.destination,
-            self._kinds,
+            kinds,
             allowed=self.settings.allowed_destinations,
             secrets=self.settings.resolved_secrets_folder,
             throttle=self._throttle,
             count=self._count,
+            on_report=self._reports.receive,
         )
         with self._lock:
             self._peers.add(peer)
