@@ -22,6 +22,8 @@ distance L from source to detector pixel, and a slice at z,
     ds dtheta = |S'.n| s_z / L^2 da dv,   S'.n L = (s_z - c) s_z - s_y (v - s_y),
     h(r.n - s) = L^2 / (s_z - z)^2 h(v_r - v)              (the ramp is homogeneous of degree -2)
 
+(on an arc; any other path in the plane x = 0 has another S' = dS/da),
+
     mu(r) = sum over views  da m(z)^2  [ p(v) w(v) * h ](v_r),   w = (S'.n L) / (s_z L),  m = s_z / (s_z - z).
 
 Off the plane x = 0 the same holds with L to the pixel itself (the cosine weight of L. A. Feldkamp, L. C. Davis,
@@ -30,14 +32,19 @@ J. W. Kress, J. Opt. Soc. Am. A 1 (1984) 612): exact for objects that do not cha
 
 from __future__ import annotations
 
+from typing import Literal
+
 import numpy as np
 import scipy.fft
 from numpy.typing import NDArray
 
+from simcore.core.errors import GeometryError
 from simcore.core.geometry import AcquisitionGeometry
 from simcore.reconstruction.kinds.fbp import FilteredBackprojection
 
 FloatArray = NDArray[np.float32]
+ARC_MM = 1e-6
+"""Sources whose distances from the isocenter differ by less lie on an arc."""
 WINDOWS = {"hann": 0.5, "hamming": 0.54}
 """Apodisation of the ramp: value of the window half way to its cutoff."""
 
@@ -99,11 +106,33 @@ def ray_weights(geometry: AcquisitionGeometry, view: int, columns: slice) -> Flo
     """w = (S'.n L) / (s_z L) for the pixels of some detector columns, float32 (ny, columns)."""
     _, source_y, source_z = geometry.sources[view]
     across = geometry.detector.y_centres() - source_y
-    numerator = np.abs((source_z - geometry.isocenter_height) * source_z - source_y * across) / source_z
+    along_y, along_z = _motion(geometry, view)
+    numerator = np.abs(along_y * source_z + along_z * across) / source_z
     squared = (across**2 + source_z**2).astype(np.float32)
     x = geometry.detector.x_centres()[columns]
     weights = np.sqrt(squared[:, None] + (x**2).astype(np.float32))
     return np.asarray(np.divide(numerator.astype(np.float32)[:, None], weights, out=weights))
+
+
+def _motion(geometry: AcquisitionGeometry, view: int) -> tuple[float, float]:
+    """S', the change of the source's y and z with the tube angle, mm per radian; of a listed path by differences.
+
+    raises: GeometryError where a path that is no arc has two views at one angle.
+    """
+    y, z = geometry.sources[:, 1], geometry.sources[:, 2] - geometry.isocenter_height
+    if np.ptp(np.hypot(y, z)) < ARC_MM:
+        return float(z[view]), -float(y[view])
+    order = np.argsort(geometry.angles, kind="stable")
+    angles = np.deg2rad(geometry.angles[order])
+    if np.any(np.diff(angles) < 1e-9):
+        raise GeometryError(
+            "two views stand at the same tube angle on a path that is no arc about the isocenter; filtered "
+            "back-projection needs different angles there: move a source_mm, or take an iterative reconstruction"
+        )
+    at = int(np.flatnonzero(order == view)[0])
+    ends: Literal[1, 2] = 2 if len(angles) > 2 else 1
+    y_motion, z_motion = (np.gradient(c[order], angles, edge_order=ends)[at] for c in (y, z))
+    return float(y_motion), float(z_motion)
 
 
 def chord_weights(geometry: AcquisitionGeometry, view: int, columns: slice, thickness_mm: float) -> FloatArray:
