@@ -23,6 +23,9 @@ INTERVAL_SECONDS = 3.0
 WAIT_SECONDS = 10.0
 """How long a search waits for another thread that fills the index before it answers from what is there."""
 
+LOST = ("object-missing", "object-corrupt")
+"""What the store says of a file that will never be there again; after anything else it is asked later."""
+
 MAX_ATTRIBUTE_CHARACTERS = 1000
 """A longer attribute (of the JSON text) is not in the index; the metadata of the instance have it."""
 
@@ -91,6 +94,10 @@ class Indexer:
                 continue
             try:
                 entries.append(read_entry(self.store, name, FileRef(**ref)))
+            except StoreError as error:
+                if error.code not in LOST:
+                    raise
+                problems.append(f"{name}: {error}")
             except (ValueError, AttributeError, OSError) as error:
                 problems.append(f"{name}: {error}")
         if problems:

@@ -6,6 +6,7 @@ from contextlib import suppress
 from typing import Annotated, Any
 
 from fastapi import Depends, Path, Request
+from starlette.datastructures import URL
 
 from api.auth import Read
 from api.deps import Services
@@ -62,14 +63,19 @@ def reader(caller: Read) -> None:
 Indexing = Annotated[Indexer, Depends(indexer)]
 
 
-def service_url(request: Request) -> str:
-    """The address of this service as the client sees it, without a slash at the end."""
+def base_url(request: Request) -> URL:
+    """The address of the host as the client sees it."""
     base = request.base_url
     server = request.scope.get("server")
     forwarded = any(name in request.headers for name in ("forwarded", "x-forwarded-for", "x-forwarded-host"))
     if base.port is None and not forwarded and server is not None and server[1] not in (None, 80, 443):
         base = base.replace(port=server[1])  # dicomweb-client leaves the port out of Host
-    return str(base).rstrip("/") + PREFIX
+    return base
+
+
+def service_url(request: Request) -> str:
+    """The address of this service, without a slash at the end."""
+    return str(base_url(request)).rstrip("/") + PREFIX
 
 
 def resource_url(request: Request, study: str, series: str | None = None, instance: str | None = None) -> str:

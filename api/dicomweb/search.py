@@ -10,7 +10,7 @@ from pydicom.datadict import tag_for_keyword
 
 from api.dicomweb import query as queries
 from api.dicomweb.accept import JSON, choose_json
-from api.dicomweb.common import Indexing, SeriesUID, StudyUID, resource_url, service_url
+from api.dicomweb.common import Indexing, SeriesUID, StudyUID, base_url, resource_url, service_url
 from worker.dicom_index import Condition, Found
 from worker.dicom_indexer import Indexer
 from worker.dicom_tables import Level
@@ -126,7 +126,7 @@ def _answer(request: Request, indexing: Indexer, level: Level, path: dict[str, s
     if found and remaining > 0:
         warnings.append(f"There are {remaining} additional results that can be requested")
         following = request.url.include_query_params(offset=query.offset + len(found), limit=query.limit)
-        response.headers["Link"] = f'<{following}>; rel="next"'
+        response.headers["Link"] = f'<{following.replace(netloc=base_url(request).netloc)}>; rel="next"'
     for text in warnings:
         response.headers.append("Warning", f"299 {service_url(request)}: {text}")
     response.headers["Cache-Control"] = "no-cache"

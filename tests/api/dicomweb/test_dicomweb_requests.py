@@ -5,6 +5,7 @@ import re
 from dataclasses import asdict
 from pathlib import Path
 
+import httpx
 import pydicom
 import pytest
 from hypothesis import given
@@ -216,6 +217,9 @@ def test_the_way_ohif_asks(client, case):
 def test_absolute_addresses_where_the_client_leaves_out_the_port(web, case):
     address = web.retrieve_instance_metadata(*case.uids(VOLUME))["7FE00010"]["BulkDataURI"]
     assert address.startswith(f"{web.base_url}/studies/")
+    page = httpx.get(f"{web.base_url}/instances?limit=1", headers={"Host": "127.0.0.1"})
+    assert page.links["next"]["url"].startswith(f"{web.base_url}/instances?")
+    assert httpx.get(page.links["next"]["url"]).json() != page.json()
 
 
 def test_addresses_behind_a_proxy(client, case):
