@@ -134,7 +134,7 @@ def test_stages_that_read_tissues_share_nothing(first):
         compression=SPEC.compression.with_(material=ByTissue.example()), mesh=SPEC.mesh.with_(border_refinement=1.5)
     )
     pipeline.run(asked, first.store)
-    assert cached(pipeline.run(asked.with_(seed=SPEC.seed + 1), first.store)) == []
+    assert cached(pipeline.run(asked.with_(seed=SPEC.seed + 7), first.store)) == []
 
 
 def test_which_stages_read_tissues():
