@@ -34,9 +34,12 @@ _COARSE_MM = 1.0
 Image = NDArray[np.float32]
 
 
-def display_view(signal: NDArray[np.uint16], open_field: float, pixel_mm: float) -> NDArray[np.uint16]:
-    """A projection as a mammogram: dense tissue bright, thickness near the edge evened out, detail raised."""
-    integrals = np.log(np.float32(open_field) / np.maximum(signal, 1).astype(np.float32))
+def display_view(signal: NDArray[np.uint16], background: float, pixel_mm: float) -> NDArray[np.uint16]:
+    """A projection as a mammogram: dense tissue bright, thickness near the edge evened out, detail raised.
+
+    background: signal beside the breast.
+    """
+    integrals = np.log(np.float32(background) / np.maximum(signal, 1).astype(np.float32))
     breast = integrals > AIR
     if not breast.any():
         return np.zeros(signal.shape, np.uint16)

@@ -25,7 +25,7 @@ def files(study: Study) -> Iterator[tuple[str, Callable[[], Instance]]]:
 def presentation_image(study: Study, view: int) -> Instance:
     """The processed image of one view (0-based), turned as mammograms are hung."""
     stack, laterality = study.stack, study.spec.laterality
-    image = hung(display_view(stack.data[view], stack.open_field, stack.geometry.detector.pixel), laterality)
+    image = hung(display_view(stack.data[view], stack.background, stack.geometry.detector.pixel), laterality)
     dataset = study.dataset(PRESENTATION, DigitalMammographyXRayImageStorageForPresentation, "MG", view + 1)
     describe_view(dataset, study, view)
     dataset.PresentationIntentType = "FOR PRESENTATION"

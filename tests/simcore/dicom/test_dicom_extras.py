@@ -150,6 +150,8 @@ def test_report(case_and_folder: tuple[SmallCase, Path]) -> None:
         )
         measured = group.get_measurements()[0]
         assert measured.unit.value == "mm3"
+        value = measured[0].MeasuredValueSequence[0]
+        assert float(value.NumericValue) == value.FloatingPointValue
         found.append(measured.value)
     # Voxels of 8 mm3: 4 x 4 x 4, 2 x 2 x 2, and two.
     assert found == pytest.approx([512.0, 64.0, 16.0])
@@ -192,6 +194,18 @@ def test_what_a_display_view_shows() -> None:
     assert rim > 0.6 * image[80, 20]
 
 
+def test_plates_in_the_beam_are_not_shown(tmp_path: Path) -> None:
+    """Beside the breast the view is black although the plates take a part of the beam."""
+    case = make_case(views=1, extras=["presentation"])
+    data = case.stack.data.copy()
+    data[:, :, 30:] = 60000 * np.exp(-0.3)
+    data[:, :, :30] = 20000
+    replace(case, stack=replace(case.stack, data=data, slab_integral=0.3)).export(tmp_path)
+    image = hung(pixel_array(tmp_path / "presentation/0001.dcm"), "L")
+    assert image[:, :30].all()
+    assert not image[:, 30:].any()
+
+
 def test_a_blank_view_is_black() -> None:
     assert not display_view(np.full((20, 30), 60000, np.uint16), 60000.0, 0.5).any()
 
@@ -218,9 +232,13 @@ def test_synthetic_view_shows_what_lies_in_any_slice() -> None:
 
 
 def test_synthetic_view_lies_over_the_volume(case_and_folder: tuple[SmallCase, Path]) -> None:
-    """Its corners are those of the slices, half way up."""
-    _, folder = case_and_folder
+    """Its corners are those of the slices, half way up, and its pixels lie in the order that it says."""
+    case, folder = case_and_folder
     d = pydicom.dcmread(folder / "synthetic_2d.dcm")
+    breast = (pixel_array(folder / "labels.dcm") > 0).any(axis=0)
+    expected = synthetic_view(case.volume, breast)
+    shown = d.pixel_array != 0
+    np.testing.assert_array_equal(shown, (expected[::-1] if case.spec.laterality == "L" else expected[:, ::-1]) != 0)
     volume = pydicom.dcmread(folder / "tomosynthesis.dcm")
     assert list(d.ImageType) == ["DERIVED", "PRIMARY", "TOMOSYNTHESIS", "GENERATED_2D"]
 
