@@ -1,9 +1,6 @@
 """Rate limits and slow bodies: 429 with Retry-After for whoever is too fast, 408 for whoever is too slow."""
 
 import asyncio
-import shutil
-import subprocess
-import time
 
 import pytest
 from fastapi.testclient import TestClient
@@ -56,28 +53,9 @@ def test_this_machine_without_keys_is_not_limited(limited):
     assert [limited.get("/v1/presets").status_code for _ in range(5)] == [200] * 5
 
 
-@pytest.fixture
-def shared(tmp_path):
-    """The URL of a Redis or valkey of our own."""
-    program = shutil.which("redis-server") or shutil.which("valkey-server")
-    if program is None:
-        pytest.skip("needs the Debian package redis-server")
-    path = tmp_path / "s"
-    command = [program, "--port", "0", "--unixsocket", str(path), "--save", "", "--dir", str(tmp_path)]
-    server = subprocess.Popen(command, stdout=subprocess.DEVNULL)
-    try:
-        while not path.exists():
-            assert server.poll() is None
-            time.sleep(0.02)
-        yield f"redis+socket://{path}?virtual_host=0"
-    finally:
-        server.terminate()
-        server.wait(20)
-
-
 @pytest.mark.needs_redis
-def test_processes_share_their_buckets(settings, shared):
-    changed = {"rate_per_second": 0.001, "rate_burst": 4, "broker_url": shared}
+def test_processes_share_their_buckets(settings, redis_url):
+    changed = {"rate_per_second": 0.001, "rate_burst": 4, "broker_url": redis_url}
     one, other = (Rates(Settings.load(**{**settings.model_dump(), **changed})) for _ in range(2))
     assert [rates.take("a") > 0 for rates in (one, other, one, other, one, other)] == [False] * 4 + [True] * 2
     assert 990 < one.take("a") <= 1000
