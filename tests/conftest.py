@@ -6,6 +6,7 @@ difference run again on PostgreSQL, S3 and redis-server.
 
 import os
 import shutil
+import signal
 import subprocess
 import tempfile
 import threading
@@ -175,7 +176,7 @@ def postgres_url() -> Iterator[str]:
         engine.dispose()
         yield url
     finally:
-        server.terminate()
+        server.send_signal(signal.SIGINT)  # without waiting for clients
         server.wait(20)
         shutil.rmtree(folder, ignore_errors=True)
 
