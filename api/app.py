@@ -27,7 +27,7 @@ from api import (
     webhooks,
 )
 from api.auth import authenticate
-from api.automatic import posted_simulation_schema
+from api.automatic import with_deliver
 from api.deps import Services
 from api.dicomweb import routes as dicomweb
 from api.dicomweb.cors import ViewerOrigins
@@ -134,7 +134,8 @@ def _describe_specification(app: FastAPI) -> None:
                 schema = model.model_json_schema(ref_template="#/components/schemas/{model}")
                 schemas.update(schema.pop("$defs", {}))
                 schemas[model.__name__] = schema
-            schemas["PostedSimulation"] = posted_simulation_schema(schemas["SimulationSpec"])
+            for title, plain in (("PostedSimulation", "SimulationSpec"), ("PostedStudy", "StudySpec")):
+                schemas[title] = with_deliver(title, schemas[plain])
             app.openapi_schema = description
         return app.openapi_schema
 

@@ -56,15 +56,16 @@ def require_deliver(caller: Principal, wanted: list[Json]) -> None:
         raise ApiError(403, "scope-missing", "'deliver' needs a key with the scope 'deliver'")
 
 
-BODY_WITH_DELIVER: Json = {
-    "requestBody": {
-        "required": True,
-        "content": {"application/json": {"schema": {"$ref": "#/components/schemas/PostedSimulation"}}},
-    }
-}
+def _body(schema: str) -> Json:
+    content = {"application/json": {"schema": {"$ref": f"#/components/schemas/{schema}"}}}
+    return {"requestBody": {"required": True, "content": content}}
 
 
-def posted_simulation_schema(specification: Json) -> Json:
+BODY_WITH_DELIVER = _body("PostedSimulation")
+STUDY_WITH_DELIVER = _body("PostedStudy")
+
+
+def with_deliver(title: str, specification: Json) -> Json:
     """JSON Schema of what is posted: that of the specification, and ``deliver``."""
     deliver = {
         "type": "array",
@@ -74,6 +75,6 @@ def posted_simulation_schema(specification: Json) -> Json:
     }
     return {
         **specification,
-        "title": "PostedSimulation",
+        "title": title,
         "properties": {**specification["properties"], "deliver": deliver},
     }

@@ -107,11 +107,12 @@ class Studies:
         queue: Queue = STUDY_QUEUE,
         submitter: Submitter = UNKNOWN,
         retention: float | None = None,
+        deliver: list[Json] | None = None,
     ) -> Study:
         """A new study and all its cases, queued, in one transaction. Their messages are sent after this has returned.
 
         identifier: a new one where not given. retention: seconds for which files are kept after the end; None: for
-        ever.
+        ever. deliver: where the files of each case go when it has succeeded, as in ``Jobs.create``.
         raises: QuotaError where the submitter may not have so many more.
         """
         identifier = identifier or uuid.uuid4().hex
@@ -126,10 +127,8 @@ class Studies:
             "created": now,
             "submitted_by": submitter.id,
         }
-        rows = [
-            _case_row(identifier, number, case, now) | {"queue": queue, "retention": retention, **submitter.columns()}
-            for number, case in enumerate(cases, start=1)
-        ]
+        common = {"queue": queue, "retention": retention, "deliver": deliver or None, **submitter.columns()}
+        rows = [_case_row(identifier, number, case, now) | common for number, case in enumerate(cases, start=1)]
         first_events = [
             {"simulation_id": r["id"], "sequence": 1, "at": now, "kind": EVENT_STATE, "data": {"state": "queued"}}
             for r in rows

@@ -11,8 +11,9 @@ from fastapi.responses import JSONResponse
 
 from api import pages
 from api.auth import Read, Submitting, Write
+from api.automatic import STUDY_WITH_DELIVER, WantedDeliveries, require_deliver
 from api.conditions import none_match
-from api.deps import Served, Services, StudyIdentifier, read_json
+from api.deps import PostedCaseBody, Served, Services, StudyIdentifier
 from api.errors import ApiError
 from api.idempotency import IdempotentRoute, Making
 from api.retention import AskedRetention
@@ -39,19 +40,20 @@ _BODY: dict[str, Any] = {
 router = APIRouter(prefix="/studies", tags=["studies"], route_class=IdempotentRoute)
 
 
-async def _posted_study(request: Request) -> StudySpec:
+def _posted_study(case: PostedCaseBody) -> StudySpec:
     """raises: ApiError 413, 415; SpecError naming every wrong field"""
-    return StudySpec.parse(await read_json(request))
+    return StudySpec.parse(case.specification)
 
 
 PostedStudy = Annotated[StudySpec, Depends(_posted_study)]
 
 
-@router.post("", status_code=202, openapi_extra=_BODY)
+@router.post("", status_code=202, openapi_extra=STUDY_WITH_DELIVER)
 def create(
     caller: Write,
     submitter: Submitting,
     study: PostedStudy,
+    wanted: WantedDeliveries,
     served: Served,
     making: Making,
     retention: AskedRetention,
@@ -61,7 +63,11 @@ def create(
     priority: Annotated[Priority, Query(description="interactive cases go before batch ones")] = "batch",
     device: Annotated[Device, Query(description="kind of worker; gpu where the service has one")] = "cpu",
 ) -> StudyResource:
-    """Takes a study: all its cases are validated and queued, or none."""
+    """Takes a study: all its cases are validated and queued, or none.
+
+    ``deliver``, beside the study, sends the files of each case when that has succeeded.
+    """
+    require_deliver(caller, wanted)
     queue = chosen_queue(served, priority, device)
     row = _made_before(served, making.identifier) if making.again else None
     if row is None:
@@ -78,6 +84,7 @@ def create(
             queue,
             submitter,
             retention,
+            wanted,
         )
     background.add_task(_send_first, served, row.id)
     response.headers.update({"Location": str(request.base_url).rstrip("/") + study_path(row.id), **RETRY_AFTER})

@@ -347,3 +347,36 @@ def test_scopes(client, served, make, case, is_problem):
     is_problem(ask("get", f"/v1/destinations/{listed[0]['id']}", "deliver"), 403, "scope-missing")
     automatic = {"deliver": [{"destination": "pacs"}]}
     is_problem(ask("post", "/v1/simulations", "read", "write", json=automatic), 403, "scope-missing")
+
+
+def test_a_study_is_delivered_case_by_case(client, make, finish):
+    destination = make()
+    study = {
+        "base": {"name": "s"},
+        "axes": [{"kind": "grid", "field": "seed", "values": [1, 2]}],
+        "deliver": [{"destination": "pacs"}],
+    }
+    response = client.post("/v1/studies", json=study)
+    assert response.status_code == 202, response.text
+    made = response.json()
+    assert "deliver" not in made["study"]
+    cases = client.get(f"/v1/simulations?study_id={made['id']}").json()["items"]
+    finish(cases[0]["id"])
+    (first,) = client.get("/v1/deliveries").json()["items"]
+    assert (first["simulation_id"], first["automatic"]) == (cases[0]["id"], True)
+    finish(cases[1]["id"])
+    assert len(client.get("/v1/deliveries").json()["items"]) == 2
+    # All of it once more, on request.
+    body = {"destination": destination["id"], "study_id": made["id"], "files": ["volume.dcm"]}
+    whole = client.post("/v1/deliveries", json=body).json()
+    assert {i["simulation_id"] for i in whole["instances"]} == {case["id"] for case in cases}
+    assert (whole["study_id"], whole["instances_total"]) == (made["id"], 2)
+
+
+def test_a_study_without_an_end(client, make, is_problem):
+    make()
+    study = client.post("/v1/studies", json={"axes": [{"kind": "grid", "field": "seed", "values": [1, 2]}]}).json()
+    body = {"destination": "pacs", "study_id": study["id"]}
+    is_problem(client.post("/v1/deliveries", json=body), 409, "not-finished")
+    is_problem(client.post("/v1/deliveries", json={**body, "study_id": "0" * 32}), 404, "study-not-found")
+    is_problem(client.post("/v1/deliveries", json={**body, "series": ["1.2"]}), 422, "invalid-request")

@@ -160,12 +160,12 @@ def test_aborted_in_transfer(room, storescp, option):
 @pytest.mark.needs_dcmtk
 def test_killed_in_transfer_and_started_again(room, storescp):
     peer = storescp()
-    items = [room.file(f"large{n}.dcm", number=n, **LARGE) for n in (1, 2, 3)]
-    with closing(Link(peer.port, rate=60e6)) as link:
+    items = [room.file(f"large{n}.dcm", number=n, rows=2048, columns=2048) for n in (1, 2, 3)]
+    with closing(Link(peer.port, rate=30e6)) as link:
         identifier = room.queue(room.destination(link.port), items)
         attempt = threading.Thread(target=room.sender.run, args=(identifier,))
         attempt.start()
-        wait_for(lambda: "stored" in room.states(identifier) and link.passed > 20e6)
+        wait_for(lambda: "stored" in room.states(identifier) and link.passed > 10e6)
         peer.process.kill()
         peer.process.wait()
         attempt.join(30)
@@ -195,7 +195,7 @@ def test_a_link_that_breaks(room):
 def test_a_peer_that_stops_reading(room, storescp):
     peer = storescp()
     items = [room.file("large.dcm", **LARGE)]
-    identifier = room.queue(room.destination(peer.port, limits={"attempts": 1, "stall_seconds": 1.0}), items)
+    identifier = room.queue(room.destination(peer.port, limits={"attempts": 1, "negotiate_seconds": 0.5}), items)
     peer.process.send_signal(signal.SIGSTOP)
     # The kernel accepts the connection; nobody answers.
     row = room.run(identifier)
