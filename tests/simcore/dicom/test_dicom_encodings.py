@@ -19,7 +19,7 @@ from simcore.dicom.common import Instance, item, set_pixels, write
 from simcore.dicom.pixels import MadeFrames
 from simcore.dicom.run_length import run_length_frame
 
-from .conftest import SmallCase, make_case
+from .conftest import ALL_EXTRAS, SmallCase, make_case
 
 SYNTAXES = {"jpeg-ls": pydicom.uid.JPEGLSLossless, "rle": pydicom.uid.RLELossless}
 
@@ -79,8 +79,10 @@ def test_run_lengths_of_two_bytes(columns: int) -> None:
 
 
 def test_two_runs_of_an_encoded_case_give_the_same_bytes(exported: Callable[[SmallCase], Path]) -> None:
-    first, second = (exported(make_case(encoding="jpeg-ls")) for _ in range(2))
-    for file in first.rglob("*.dcm"):
+    """With every object on request."""
+    arguments = {"encoding": "jpeg-ls", "views": 2, "lesions": True, "extras": ALL_EXTRAS}
+    first, second = (exported(make_case(**arguments)) for _ in range(2))  # type: ignore[arg-type]
+    for file in (f for f in first.rglob("*.*") if f.is_file()):
         assert file.read_bytes() == (second / file.relative_to(first)).read_bytes()
 
 
