@@ -69,6 +69,7 @@ validate: install-dev
 	$(BIN)/python -m bench.sweep --runs 200
 	$(BIN)/python -m bench.paper_cups --data $(DATA)
 	$(BIN)/python -m bench.figures --data $(DATA)
+	$(BIN)/python -m bench.projection
 
 # Needs uv. Versions and hashes for every platform; no address of any registry.
 UV ?= uv

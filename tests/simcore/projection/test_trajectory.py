@@ -22,6 +22,8 @@ from simcore.projection.materials import attenuation_table
 from simcore.projection.plane_prefix import serves
 from simcore.projection.spec import AcquisitionSpec, DetectorPoseSpec, DetectorSpec, PhysicsSpec, SlabSpec, ViewSpec
 from simcore.reconstruction import reconstruct
+from simcore.reconstruction.grids import breast_grid, volume_grid
+from simcore.reconstruction.operators import backproject, project_slices
 from simcore.reconstruction.spec import Backprojection, FilteredBackprojection, Sart
 from simcore.spec import SimulationSpec
 
@@ -200,6 +202,22 @@ def test_a_ball_is_found_where_it_is_from_any_detector_pose(spec):
     assert abs(z - BALL[2]) < 3.0
 
 
+def test_the_box_of_the_breast_is_the_same_from_detectors_far_below():
+    arc = geometry_of(ARC)
+    low = [turned(y=2.0, z=5.0, origin=(-9.0, 0.0, -120.0)) for _ in range(3)]
+    wide = {"detector": DETECTOR.with_(pixels_y=160, pixels_x=90)}
+    boxes = []
+    for poses in ([None] * 3, low):
+        stack = project(ball(), listed(*zip(arc.sources.tolist(), poses, strict=True), **wide), PhysicsSpec())
+        boxes.append(breast_grid(stack, volume_grid(stack.geometry, FilteredBackprojection(slice_mm=2.0), 40.0)))
+    for grid in boxes:
+        assert grid.corner[1] < BALL[1] - 6.0 < BALL[1] + 6.0 < grid.upper[1]
+        assert BALL[0] + 6.0 < grid.upper[0]
+    # The turned detectors see the box of a turned rectangle.
+    assert np.abs(np.array(boxes[0].upper) - boxes[1].upper).max() < 6.0
+    assert np.abs(np.array(boxes[0].corner) - boxes[1].corner).max() < 6.0
+
+
 def test_a_source_beside_the_chest_wall_plane_needs_an_iterative_reconstruction():
     sources = [[25.0 * np.sin(a), 150.0 * np.cos(a), 600.0] for a in np.linspace(0, 2 * np.pi, 12, endpoint=False)]
     stack = project(ball(), listed(*((source, None) for source in sources)), PhysicsSpec())
@@ -208,6 +226,18 @@ def test_a_source_beside_the_chest_wall_plane_needs_an_iterative_reconstruction(
             reconstruct(stack, spec, 40.0)
     x, y, z = brightest(reconstruct(stack, Sart(slice_mm=2.0, pixel_mm=1.5, iterations=2), 40.0))
     assert (abs(x - BALL[0]) < 0.8, abs(y - BALL[1]) < 0.8, abs(z - BALL[2]) < 3.0) == (True, True, True)
+
+
+def test_the_operator_pair_is_adjoint_for_sources_anywhere():
+    """What iterative reconstructions use, with sources on both sides of the chest wall's plane."""
+    rng = np.random.default_rng(0)
+    sources = [[-30.0, 10.0, 400.0], [25.0, -60.0, 380.0], [0.0, 80.0, 420.0], [60.0, 0.0, 400.0]]
+    detector = DetectorSpec(pixels_y=50, pixels_x=40, pixel_mm=1.3)
+    geometry = geometry_of(listed(*((source, None) for source in sources), detector=detector))
+    grid = Grid((9, 33, 27), (1.1, 1.1, 2.0), (0.0, -18.0, 20.0))
+    x, y = rng.random(grid.shape).astype(np.float32), rng.random((4, 50, 40)).astype(np.float32)
+    forward = np.vdot(project_slices(x, grid, geometry).astype(np.float64), y)
+    assert forward == pytest.approx(np.vdot(x, backproject(y, grid, geometry).astype(np.float64)), rel=1e-6)
 
 
 @pytest.mark.parametrize(
