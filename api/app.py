@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import AsyncIterator
+from collections.abc import AsyncIterator, Iterator
 from contextlib import asynccontextmanager
 from typing import Any
 
@@ -136,10 +136,20 @@ def _describe_specification(app: FastAPI) -> None:
                 schemas[model.__name__] = schema
             for title, plain in (("PostedSimulation", "SimulationSpec"), ("PostedStudy", "StudySpec")):
                 schemas[title] = with_deliver(title, schemas[plain])
+            for body in _bodies(description):
+                schemas.update(body.pop("$defs", {}))
             app.openapi_schema = description
         return app.openapi_schema
 
     app.openapi = openapi  # type: ignore[method-assign]
+
+
+def _bodies(description: dict[str, Any]) -> Iterator[dict[str, Any]]:
+    """The schemas of all bodies."""
+    for operations in description["paths"].values():
+        for operation in operations.values():
+            for content in operation.get("requestBody", {}).get("content", {}).values():
+                yield content["schema"]
 
 
 def __getattr__(name: str) -> FastAPI:

@@ -87,6 +87,8 @@ def service() -> Iterator[str]:
             upload_limit_bytes=100_000,
             rate_per_second=0,
             gpu=True,
+            # Schemathesis repeats requests with their keys, and would be given what it has deleted meanwhile.
+            idempotency_seconds=1e-6,
         )
         app = create_app(settings, MemoryBroker(), sweep=False)
         server = uvicorn.Server(uvicorn.Config(app, log_config=None, access_log=False, timeout_graceful_shutdown=1))

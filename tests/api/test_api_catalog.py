@@ -49,6 +49,7 @@ def test_openapi_describes_the_specification(client):
     body = description["paths"]["/v1/simulations"]["post"]["requestBody"]["content"]["application/json"]["schema"]
     assert body["$ref"].rpartition("/")[2] in components
     assert {"SimulationSpec", "Problem", "AcquisitionSpec"} <= set(components)
+    assert "#/$defs/" not in client.get("/openapi.json").text
     references = set(re.findall(r'"#/components/schemas/([^"]+)"', client.get("/openapi.json").text))
     assert references <= set(components)
     identifiers = [o["operationId"] for p in description["paths"].values() for o in p.values()]
