@@ -7,7 +7,7 @@ PORT ?= 8080
 OUT ?= out
 DATA ?= data
 
-.PHONY: help install install-dev demo serve test lint format bench soak validate docs lock clean
+.PHONY: help install install-dev demo serve test test-production lint format bench soak validate docs lock clean
 
 help:
 	@echo "make demo      install, run the paper's cup C case through the service, files in $(OUT)/"
@@ -51,6 +51,12 @@ format: install-dev
 
 test: lint
 	$(BIN)/python -m pytest $(PYTEST_ARGS)
+
+# The same tests of the service on PostgreSQL, redis-server and S3.
+test-production: install-dev
+	$(BIN)/python -m pytest --production $(PYTEST_ARGS) --ignore=tests/api/dicomweb tests/api \
+		tests/worker/test_supervisor.py tests/worker/test_garbage.py tests/worker/test_full_disk.py \
+		tests/worker/test_commands_by_hand.py
 
 $(VENV)/.installed-bench: $(VENV)/.installed-dev requirements-bench.lock
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --require-hashes -r requirements-bench.lock

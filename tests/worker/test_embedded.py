@@ -20,6 +20,8 @@ from worker.settings import Settings
 
 PATIENCE_SECONDS = 90
 
+pytestmark = pytest.mark.embedded
+
 
 def wait_for(condition, what):
     deadline = time.monotonic() + PATIENCE_SECONDS

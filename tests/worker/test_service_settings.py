@@ -13,6 +13,8 @@ from worker.keys import Keys, check_address
 from worker.processes import environment
 from worker.settings import MAX_SOCKET_PATH, Settings, SettingsError, is_loopback
 
+pytestmark = pytest.mark.embedded
+
 
 def test_defaults_need_nothing(make_settings):
     settings = make_settings()
