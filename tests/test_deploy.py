@@ -99,7 +99,7 @@ def run(who: str, text: str, names: dict[str, str], folders: dict[str, Path]) ->
     return said
 
 
-@pytest.mark.slow
+@pytest.mark.sweep
 @pytest.mark.needs_postgresql
 @pytest.mark.needs_redis
 def test_the_page_line_by_line(hosts, folders):

@@ -213,13 +213,13 @@ def test_unknown(client, is_problem, identifier, path):
 @pytest.mark.parametrize(
     ("path", "allowed"),
     [
-        ("/v1/simulations", "GET, POST"),
-        ("/v1/simulations/x", "GET, DELETE"),
+        ("/v1/simulations", "GET, HEAD, POST"),
+        ("/v1/simulations/x", "GET, HEAD, DELETE"),
         ("/v1/simulations/x/cancel", "POST"),
-        ("/v1/simulations/x/events", "GET"),
+        ("/v1/simulations/x/events", "GET, HEAD"),
         ("/v1/simulations/x/artifacts/volume.dcm", "GET, HEAD"),
-        ("/v1/presets", "GET"),
-        ("/livez", "GET"),
+        ("/v1/presets", "GET, HEAD"),
+        ("/livez", "GET, HEAD"),
     ],
 )
 def test_allow_names_every_method(client, is_problem, path, allowed):
