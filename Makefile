@@ -69,7 +69,7 @@ soak: install-dev
 	$(BIN)/python -m bench.soak
 
 validate: install-dev
-	$(BIN)/python -m pytest -m sweep tests/simcore/dicom tests/test_deploy.py
+	$(BIN)/python -m pytest -m sweep tests/simcore/dicom tests/test_deploy.py tests/worker/test_shared_stages.py
 	$(BIN)/python -m bench.verification
 	$(BIN)/python -m bench.figure4
 	$(BIN)/python -m bench.sweep --runs 200

@@ -16,6 +16,8 @@ from worker.database import connect
 from worker.fleet import Fleet
 from worker.processes import environment
 
+pytestmark = pytest.mark.sweep  # whole cases through two workers
+
 PATIENCE_SECONDS = 90
 
 
