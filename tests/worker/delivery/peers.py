@@ -20,6 +20,13 @@ def wait_for(condition, what="it", patience_seconds=30):
     return found
 
 
+def _end(used):
+    """Closing alone tells the other side nothing while a thread of ours still reads from the socket."""
+    with contextlib.suppress(OSError):
+        used.shutdown(socket.SHUT_RDWR)
+    used.close()
+
+
 class Scp:
     """Answers each C-STORE with the next status of a list (the last one again and again)."""
 
@@ -103,14 +110,12 @@ class Link:
                 target.sendall(data)
         # What is shut down but not closed still takes data until its buffer is full.
         for end in (source, target):
-            with contextlib.suppress(OSError):
-                end.shutdown(socket.SHUT_RDWR)
-            end.close()
+            _end(end)
 
     def close(self):
         self._listener.close()
         for used in self._sockets:
-            used.close()
+            _end(used)
 
 
 class Silent:
@@ -135,4 +140,4 @@ class Silent:
     def close(self):
         self._listener.close()
         for used in self._sockets:
-            used.close()
+            _end(used)
