@@ -27,30 +27,30 @@ def _invert_symmetric(S: Array, out: Array) -> None:
 def invert_diagonal(
     row_start: Array,
     column: Array,
-    K: Array,
-    upper: Array,
-    lower: Array,
+    blocks: Array,
     compliance: Array,
     free: Array,
     gliding: Array,
     normal: Array,
-    M: Array,
+    out: Array,
 ) -> None:
-    """M = inverses of the 3x3 diagonal blocks of K + B C^-1 B^T in the free directions, zero in the others: what they
-    leave of a vector has no part in the directions that are not free."""
+    """Inverses of the 3x3 diagonal blocks of K + B C^-1 B^T in the free directions, zero in the others: what they
+    leave of a vector has no part in the directions that are not free.
+
+    blocks: of simcore.fem.linear.Tangent. out: float32 (n, 4, 4), the last row and column 0.
+    """
     n = row_start.shape[0] - 1
-    for a in range(n):
-        for i in range(3):
-            for j in range(3):
-                M[a, i, j] = K[row_start[a], i, j]
+    M = np.zeros((n, 3, 3))
     for a in range(n):
         for k in range(row_start[a], row_start[a + 1]):
             b = column[k]
             for i in range(3):
                 for j in range(3):
-                    M[a, i, j] += upper[k, i] * compliance[b] * upper[k, j]
-                    if b != a:
-                        M[b, i, j] += lower[k, i] * compliance[a] * lower[k, j]
+                    M[a, i, j] += blocks[k, i, 3] * compliance[b] * blocks[k, j, 3]
+                    if b == a:
+                        M[a, i, j] += blocks[k, i, j]
+                    else:
+                        M[b, i, j] += blocks[k, 3, i] * compliance[a] * blocks[k, 3, j]
     S = np.empty((3, 3))
     for a in range(n):
         for i in range(3):
@@ -64,6 +64,8 @@ def invert_diagonal(
                 M[a, i, i] = 0.0
         if gliding[a]:
             _glide(S, free[a], normal, M[a])
+        out[a] = 0.0
+        out[a, :3, :3] = M[a]
 
 
 @njit(cache=True, nogil=True)

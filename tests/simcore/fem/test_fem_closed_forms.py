@@ -147,12 +147,12 @@ def test_linear_solver_agrees_with_a_dense_one() -> None:
     model = model_of(mesh)
     generator = np.random.default_rng(8)
     n = len(model.nodes)
-    blocks = assembled(model, generator.normal(0, 0.2, (n, 3)), np.zeros(n))[2]
-    stiffness, coupling = dense_tangent(model, blocks)
+    system = model.system()
+    model.assemble(generator.normal(0, 0.2, (n, 3)), np.zeros(n), system)
+    stiffness, coupling = dense_tangent(model, (system.stiffness, system.coupling_upper, system.coupling_lower))
     compliance = 1 / (model.node_volume * model.volume_ratio_of_pressure(np.zeros(n))[1])
     condensed = stiffness + coupling * compliance @ coupling.T
-    single = tuple(b.astype(np.float32) for b in blocks)
-    tangent = Tangent(model.pattern, *single, compliance)
+    tangent = Tangent.of(model.pattern, system, compliance)
     x = generator.normal(0, 1, (n, 3))
     product, pressure = tangent.apply(x)
     assert product.ravel() == pytest.approx(condensed @ x.ravel(), rel=1e-4, abs=1e-4 * np.abs(product).max())
