@@ -70,11 +70,53 @@ def inverse_transpose(F: Array, det: float, out: Array) -> None:
             out[i, j] /= det
 
 
+@njit(inline="always")
+def deformation(displacement: Array, tets: Array, gradients: Array, e: int) -> Any:
+    """F of element e, nine numbers row by row, as ``deformation_gradient`` but in registers."""
+    first = tets[e, 0]
+    x, y, z = displacement[first, 0], displacement[first, 1], displacement[first, 2]
+    xx = yy = zz = 1.0
+    xy = xz = yx = yz = zx = zy = 0.0
+    for a in range(1, 4):
+        node = tets[e, a]
+        u, v, w = displacement[node, 0] - x, displacement[node, 1] - y, displacement[node, 2] - z
+        gx, gy, gz = gradients[e, a, 0], gradients[e, a, 1], gradients[e, a, 2]
+        xx, xy, xz = xx + u * gx, xy + u * gy, xz + u * gz
+        yx, yy, yz = yx + v * gx, yy + v * gy, yz + v * gz
+        zx, zy, zz = zx + w * gx, zy + w * gy, zz + w * gz
+    return xx, xy, xz, yx, yy, yz, zx, zy, zz
+
+
+@njit(inline="always")
+def cofactors(F: Any) -> Any:
+    """(det F F^-T, nine numbers row by row; det F)"""
+    C = (
+        F[4] * F[8] - F[5] * F[7], F[5] * F[6] - F[3] * F[8], F[3] * F[7] - F[4] * F[6],
+        F[7] * F[2] - F[8] * F[1], F[8] * F[0] - F[6] * F[2], F[6] * F[1] - F[7] * F[0],
+        F[1] * F[5] - F[2] * F[4], F[2] * F[3] - F[0] * F[5], F[0] * F[4] - F[1] * F[3],
+    )  # fmt: skip
+    return C, F[0] * C[0] + F[1] * C[1] + F[2] * C[2]
+
+
 @njit(cache=True, nogil=True)
 def volume_ratios(displacement: Array, tets: Array, gradients: Array) -> Array:
     """det F of each element, (m,)."""
-    F = np.empty((3, 3))
     ratios = np.empty(tets.shape[0])
     for e in range(tets.shape[0]):
-        ratios[e] = deformation_gradient(displacement, tets[e], gradients[e], F)
+        ratios[e] = cofactors(deformation(displacement, tets, gradients, e))[1]
     return ratios
+
+
+@njit(cache=True, nogil=True)
+def keeps_volume(displacement: Array, step: Array, length: float, tets: Array, gradients: Array, share: float) -> bool:
+    """Whether det F of every element at displacement + length step is at least ``share`` of what it is before."""
+    for e in range(tets.shape[0]):
+        F, G = deformation(displacement, tets, gradients, e), deformation(step, tets, gradients, e)
+        after = (
+            F[0] + length * (G[0] - 1.0), F[1] + length * G[1], F[2] + length * G[2],
+            F[3] + length * G[3], F[4] + length * (G[4] - 1.0), F[5] + length * G[5],
+            F[6] + length * G[6], F[7] + length * G[7], F[8] + length * (G[8] - 1.0),
+        )  # fmt: skip
+        if not cofactors(after)[1] >= share * cofactors(F)[1]:
+            return False
+    return True

@@ -16,13 +16,13 @@ from numpy.typing import NDArray
 from simcore.fem.blocks import (
     Singles,
     add,
-    as_columns,
-    as_rows,
     block_at,
     empty,
-    four_times,
+    in_columns,
+    in_rows,
     put,
     row_at,
+    row_of,
     sum_of_columns,
     sum_of_rows,
     times,
@@ -58,11 +58,10 @@ class Tangent:
 
     @classmethod
     def of(cls, pattern: Pattern, system: System, compliance: Floats) -> Tangent:
-        """compliance: C^-1, (n,)."""
-        count = len(pattern.column)
-        blocks, coupling = empty(count, 4, 4), empty(count, 2, 4)
-        _pack(system.stiffness, system.coupling_upper, system.coupling_lower, blocks, coupling)
-        return cls(pattern, blocks, coupling, compliance.astype(np.float32))
+        """system: in single precision; its blocks are used, not copied. compliance: C^-1, (n,)."""
+        coupling = empty(len(pattern.column), 2, 4)
+        _copy_coupling(system.blocks, coupling)
+        return cls(pattern, system.blocks, coupling, compliance.astype(np.float32))
 
     def apply(self, x: Floats) -> tuple[Floats, Floats]:
         """(A x (n, 3), C^-1 B^T x (n,))."""
@@ -141,14 +140,12 @@ class Guard:
 
 
 @njit(cache=True, nogil=True)
-def _pack(stiffness: Array, upper: Array, lower: Array, blocks: Array, coupling: Array) -> None:
-    for k in range(stiffness.shape[0]):
+def _copy_coupling(blocks: Array, coupling: Array) -> None:
+    for k in range(blocks.shape[0]):
         for i in range(3):
-            for j in range(3):
-                blocks[k, i, j] = stiffness[k, i, j]
-            blocks[k, i, 3] = coupling[k, 0, i] = upper[k, i]
-            blocks[k, 3, i] = coupling[k, 1, i] = lower[k, i]
-        blocks[k, 3, 3] = coupling[k, 0, 3] = coupling[k, 1, 3] = 0.0
+            coupling[k, 0, i] = blocks[k, i, 3]
+            coupling[k, 1, i] = blocks[k, 3, i]
+        coupling[k, 0, 3] = coupling[k, 1, 3] = 0.0
 
 
 @njit(cache=True, nogil=True)
@@ -159,12 +156,12 @@ def _multiply(
     y[:] = 0.0
     for a in range(row_start.shape[0] - 1):
         diagonal = row_start[a]
-        from_here = as_columns(x, a)
-        here = times(block_at(blocks, diagonal), as_rows(x, a))
+        from_here = in_columns(row_at(x, a))
+        here = times(block_at(blocks, diagonal), in_rows(row_at(x, a)))
         for k in range(diagonal + 1, row_start[a + 1]):
             b = column[k]
             block = block_at(blocks, k)
-            here = times_plus(block, as_rows(x, b), here)
+            here = times_plus(block, in_rows(row_at(x, b)), here)
             add(y, b, sum_of_rows(times(block, from_here)))
         add(y, a, sum_of_columns(here))
         y[a, 3] *= compliance[a]
@@ -172,15 +169,22 @@ def _multiply(
 
 
 @njit(cache=True, nogil=True)
+def _four_times(y: Array, a: int) -> Any:
+    """The row of four times y[a, 3]."""
+    t = y[a, 3]
+    return row_of(y, t, t, t, t)
+
+
+@njit(cache=True, nogil=True)
 def _add_coupling(row_start: Array, column: Array, coupling: Array, y: Array) -> None:
     """y[:, :3] += B y[:, 3]"""
     for a in range(row_start.shape[0] - 1):
         diagonal = row_start[a]
-        t = four_times(y[a, 3])
+        t = _four_times(y, a)
         here = times_plus(row_at(coupling, 2 * diagonal), t, row_at(y, a))
         for k in range(diagonal + 1, row_start[a + 1]):
             b = column[k]
-            here = times_plus(row_at(coupling, 2 * k), four_times(y[b, 3]), here)
+            here = times_plus(row_at(coupling, 2 * k), _four_times(y, b), here)
             put(y, b, times_plus(row_at(coupling, 2 * k + 1), t, row_at(y, b)))
         put(y, a, here)
 
@@ -199,7 +203,7 @@ def _project(v: Array, nodes: Array, vectors: Array) -> None:
 def _precondition(M: Array, r: Array, z: Array) -> None:
     """z = M r, whose last component is 0 whatever stands there in r."""
     for a in range(r.shape[0]):
-        put(z, a, sum_of_columns(times(block_at(M, a), as_rows(r, a))))
+        put(z, a, sum_of_columns(times(block_at(M, a), in_rows(row_at(r, a)))))
 
 
 @njit(cache=True, nogil=True, fastmath=True)

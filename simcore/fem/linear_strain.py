@@ -25,9 +25,7 @@ def assemble_linear_strain(
     with_tangent: bool,
     force: Array,
     node_volume: Array,
-    stiffness: Array,
-    coupling_upper: Array,
-    coupling_lower: Array,
+    blocks: Array,
 ) -> float:
     """As simcore.fem.assembly.assemble_neo_hookean; ``node_volume`` is that of 1 + tr(E) instead of J.
 
@@ -36,9 +34,7 @@ def assemble_linear_strain(
     force[:] = 0.0
     node_volume[:] = 0.0
     if with_tangent:
-        stiffness[:] = 0.0
-        coupling_upper[:] = 0.0
-        coupling_lower[:] = 0.0
+        blocks[:] = 0.0
     F, strain, stress, left = np.empty((3, 3)), np.empty((3, 3)), np.empty((3, 3)), np.empty((3, 3))
     f, s = np.empty((4, 3)), np.empty((4, 3))  # F grad N_a and S grad N_a
     smallest = 1.0
@@ -76,9 +72,7 @@ def assemble_linear_strain(
             for i in range(3):
                 force[tet[a], i] += volume * (F[i, 0] * s[a, 0] + F[i, 1] * s[a, 1] + F[i, 2] * s[a, 2])
         if with_tangent:
-            _add_tangent(
-                volume, mu, large, gradient, f, s, left, block_of[e], stiffness, coupling_upper, coupling_lower
-            )
+            _add_tangent(volume, mu, large, gradient, f, s, left, block_of[e], blocks)
     return float(smallest)
 
 
@@ -91,26 +85,24 @@ def _add_tangent(
     f: Array,
     s: Array,
     left: Array,
+    block_of: Array,
     blocks: Array,
-    stiffness: Array,
-    coupling_upper: Array,
-    coupling_lower: Array,
 ) -> None:
     k = 0
     for a in range(4):
         for b in range(a, 4):
-            block = blocks[k]
+            block = blocks[block_of[k]]
             k += 1
             product, initial = 0.0, 0.0
             for i in range(3):
                 product += gradient[a, i] * gradient[b, i]
                 initial += gradient[a, i] * s[b, i]
             for i in range(3):
-                coupling_upper[block, i] += 0.25 * volume * f[a, i]
-                coupling_lower[block, i] += 0.25 * volume * f[b, i]
+                block[i, 3] += 0.25 * volume * f[a, i]
+                block[3, i] += 0.25 * volume * f[b, i]
                 for j in range(3):
-                    stiffness[block, i, j] += (
+                    block[i, j] += (
                         volume * mu * (f[b, i] * f[a, j] + product * left[i, j] - 2.0 / 3.0 * f[a, i] * f[b, j])
                     )
                 if large:
-                    stiffness[block, i, i] += volume * initial
+                    block[i, i] += volume * initial

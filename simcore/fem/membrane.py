@@ -11,6 +11,7 @@ Source: Pipkin, The relaxed energy density for isotropic elastic membranes, IMA 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numba import njit
@@ -77,12 +78,13 @@ class Membrane:
         nodes: NDArray[np.float64],
         with_tangent: bool,
         force: NDArray[np.float64],
-        stiffness: NDArray[np.float64],
+        blocks: NDArray[Any],
     ) -> None:
-        """Adds the membrane's nodal forces (n, 3), N, and its tangent (blocks, 3, 3)."""
+        """Adds the membrane's nodal forces (n, 3), N, and its tangent to ``blocks`` (blocks, 4, 4), see
+        simcore.fem.model.System."""
         _add_membrane(
             displacement, nodes, self.triangles, self.gradients, self.areas * self.tension, self.block_of,
-            with_tangent, force, stiffness,
+            with_tangent, force, blocks,
         )  # fmt: skip
 
 
@@ -96,7 +98,7 @@ def _add_membrane(
     block_of: Array,
     with_tangent: bool,
     force: Array,
-    stiffness: Array,
+    blocks: Array,
 ) -> None:
     F, S, f = np.empty((3, 2)), np.empty((2, 2)), np.empty((3, 3))
     dS = np.empty((2, 2, 2, 2))
@@ -116,7 +118,7 @@ def _add_membrane(
                     f[a, i] += F[i, j] * (S[j, 0] * gradient[a, 0] + S[j, 1] * gradient[a, 1])
                 force[triangles[e, a], i] += weights[e] * f[a, i]
         if with_tangent:
-            _add_tangent(weights[e], F, S, dS, gradient, block_of[e], stiffness)
+            _add_tangent(weights[e], F, S, dS, gradient, block_of[e], blocks)
 
 
 @njit(cache=True, nogil=True)
@@ -160,12 +162,12 @@ def _sheet(F: Array, S: Array, dS: Array) -> None:
 
 
 @njit(cache=True, nogil=True)
-def _add_tangent(
-    weight: float, F: Array, S: Array, dS: Array, gradient: Array, blocks: Array, stiffness: Array
-) -> None:
-    block = 0
+def _add_tangent(weight: float, F: Array, S: Array, dS: Array, gradient: Array, block_of: Array, blocks: Array) -> None:
+    pair = 0
     for a in range(3):
         for b in range(a, 3):
+            block = blocks[block_of[pair]]
+            pair += 1
             initial = 0.0
             for j in range(2):
                 for k in range(2):
@@ -180,6 +182,5 @@ def _add_tangent(
                                 for r in range(2):
                                     c += gradient[a, p] * dS[j, p, k, r] * gradient[b, r]
                             s += F[i, j] * c * F[m, k]
-                    stiffness[blocks[block], i, m] += weight * s
-                stiffness[blocks[block], i, i] += weight * initial
-            block += 1
+                    block[i, m] += weight * s
+                block[i, i] += weight * initial

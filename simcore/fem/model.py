@@ -6,18 +6,19 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from numba import njit
 from numpy.typing import NDArray
 
 from simcore.core.artifacts import TetMesh
 from simcore.fem.assembly import assemble_neo_hookean
-from simcore.fem.element import shape_gradients
+from simcore.fem.blocks import empty as aligned
+from simcore.fem.element import Array, shape_gradients
 from simcore.fem.laws import ElementLaws
 from simcore.fem.linear_strain import assemble_linear_strain
 from simcore.fem.membrane import Membrane
 from simcore.fem.principal import assemble_principal
 
 Floats = NDArray[np.float64]
-_UPPER_PAIRS = [(a, b) for a in range(4) for b in range(a, 4)]
 
 
 @dataclass(frozen=True, eq=False)
@@ -35,14 +36,45 @@ class Pattern:
     @classmethod
     def of(cls, tets: NDArray[np.int64], node_count: int) -> Pattern:
         """tets: int64 (m, 4), each row ascending."""
-        keys = np.stack([tets[:, a] * node_count + tets[:, b] for a, b in _UPPER_PAIRS], axis=1)
-        unique, inverse = np.unique(keys, return_inverse=True)
-        per_row = np.bincount(unique // node_count, minlength=node_count)
-        return cls(
-            row_start=np.concatenate([[0], np.cumsum(per_row)]).astype(np.int32),
-            column=(unique % node_count).astype(np.int32),
-            block_of=inverse.reshape(-1, len(_UPPER_PAIRS)).astype(np.int32),
-        )
+        return cls(*_upper_half(tets, node_count))
+
+
+@njit(cache=True, nogil=True)
+def _upper_half(tets: Array, node_count: int) -> tuple[Array, Array, Array]:
+    """(row_start, column, block_of) of ``Pattern``."""
+    room = np.zeros(node_count + 1, np.int64)
+    for e in range(tets.shape[0]):
+        for a in range(4):
+            room[tets[e, a] + 1] += 4 - a
+    room = np.cumsum(room)
+    found, count = np.empty(room[-1], np.int32), np.zeros(node_count, np.int64)
+    for e in range(tets.shape[0]):
+        for a in range(4):
+            row = tets[e, a]
+            for b in range(a, 4):
+                end = room[row] + count[row]
+                k = room[row]
+                while k < end and found[k] != tets[e, b]:
+                    k += 1
+                if k == end:
+                    found[k] = tets[e, b]
+                    count[row] += 1
+    row_start = np.zeros(node_count + 1, np.int32)
+    row_start[1:] = np.cumsum(count)
+    column = np.empty(row_start[-1], np.int32)
+    for row in range(node_count):
+        column[row_start[row] : row_start[row + 1]] = np.sort(found[room[row] : room[row] + count[row]])
+    block_of = np.empty((tets.shape[0], 10), np.int32)
+    for e in range(tets.shape[0]):
+        pair = 0
+        for a in range(4):
+            for b in range(a, 4):
+                k = row_start[tets[e, a]]
+                while column[k] != tets[e, b]:
+                    k += 1
+                block_of[e, pair] = k
+                pair += 1
+    return row_start, column, block_of
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,28 +82,34 @@ class System:
     """Assembled arrays, overwritten by ``Model.assemble``.
 
     force: (n, 3) internal force less the dead load, N. node_volume: (n,) deformed volume around the nodes, mm^3.
-    stiffness: (blocks, 3, 3) dR_a/du_b of the upper half. coupling_upper, coupling_lower: (blocks, 3), dR_a/dp_b and
-    dR_b/dp_a.
+    blocks: (blocks, 4, 4), float64 or float32, of the upper half of [[K, B], [B^T, 0]]: K = dR_a/du_b (3, 3), the last
+    column dR_a/dp_b, the last row dR_b/dp_a.
     """
 
     force: Floats
     node_volume: Floats
-    stiffness: Floats
-    coupling_upper: Floats
-    coupling_lower: Floats
+    blocks: NDArray[Any]
 
     @classmethod
-    def empty(cls, node_count: int, block_count: int) -> System:
-        return cls(
-            np.empty((node_count, 3)),
-            np.empty(node_count),
-            np.empty((block_count, 3, 3)),
-            np.empty((block_count, 3)),
-            np.empty((block_count, 3)),
-        )
+    def empty(cls, node_count: int, block_count: int, *, single: bool = False) -> System:
+        """single: blocks in single precision."""
+        blocks = aligned(block_count, 4, 4) if single else np.empty((block_count, 4, 4))
+        return cls(np.empty((node_count, 3)), np.empty(node_count), blocks)
 
-    def arrays(self) -> tuple[Floats, ...]:
-        return self.force, self.node_volume, self.stiffness, self.coupling_upper, self.coupling_lower
+    @property
+    def stiffness(self) -> NDArray[Any]:
+        """(blocks, 3, 3), dR_a/du_b, a view."""
+        return self.blocks[:, :3, :3]
+
+    @property
+    def coupling_upper(self) -> NDArray[Any]:
+        """(blocks, 3), dR_a/dp_b, a view."""
+        return self.blocks[:, :3, 3]
+
+    @property
+    def coupling_lower(self) -> NDArray[Any]:
+        """(blocks, 3), dR_b/dp_a, a view."""
+        return self.blocks[:, 3, :3]
 
 
 @dataclass(frozen=True, eq=False)
@@ -127,8 +165,9 @@ class Model:
             load=node_volume[:, None] * np.array(weight) if any(weight) else None,
         )
 
-    def system(self) -> System:
-        return System.empty(len(self.nodes), len(self.pattern.column))
+    def system(self, *, single: bool = False) -> System:
+        """single: its blocks in single precision."""
+        return System.empty(len(self.nodes), len(self.pattern.column), single=single)
 
     def assemble(self, displacement: Floats, pressure: Floats, system: System, *, with_tangent: bool = True) -> float:
         """Forces, volumes and, if asked for, the tangent of a state into ``system``.
@@ -137,7 +176,7 @@ class Model:
         returns: the smallest det F; where it is not positive nothing else is of use.
         """
         body = (displacement, pressure, self.tets, self.gradients, self.volumes)
-        rest = (self.pattern.block_of, with_tangent, *system.arrays())
+        rest = (self.pattern.block_of, with_tangent, system.force, system.node_volume, system.blocks)
         laws = self.laws
         if laws.linear_strain:
             smallest = assemble_linear_strain(*body, laws.shear, laws.st_venant_kirchhoff, *rest)
@@ -146,7 +185,7 @@ class Model:
         else:
             smallest = assemble_principal(*body, laws.kinds, laws.coefficients, laws.fractions, *rest)
         if self.membrane is not None:
-            self.membrane.add(displacement, self.nodes, with_tangent, system.force, system.stiffness)
+            self.membrane.add(displacement, self.nodes, with_tangent, system.force, system.blocks)
         if self.load is not None:
             system.force[:] -= self.load
         return float(smallest)

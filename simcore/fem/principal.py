@@ -34,9 +34,7 @@ def assemble_principal(
     with_tangent: bool,
     force: Array,
     node_volume: Array,
-    stiffness: Array,
-    coupling_upper: Array,
-    coupling_lower: Array,
+    blocks: Array,
 ) -> float:
     """As simcore.fem.assembly.assemble_neo_hookean, for a mixture of laws in each element.
 
@@ -45,9 +43,7 @@ def assemble_principal(
     force[:] = 0.0
     node_volume[:] = 0.0
     if with_tangent:
-        stiffness[:] = 0.0
-        coupling_upper[:] = 0.0
-        coupling_lower[:] = 0.0
+        blocks[:] = 0.0
     F, inverse, left, axes = np.empty((3, 3)), np.empty((3, 3)), np.empty((3, 3)), np.empty((3, 3))
     squared, tau, gamma = np.empty(3), np.empty(3), np.empty((3, 3))
     q, principal = np.empty((4, 3)), np.empty((4, 3))  # F^-T grad N_a and its components along the axes
@@ -84,7 +80,7 @@ def assemble_principal(
         if with_tangent:
             _add_tangent(
                 volume, quarter, squared, tau, gamma, axes, q, principal,
-                block_of[e], stiffness, coupling_upper, coupling_lower,
+                block_of[e], blocks,
             )  # fmt: skip
     return float(smallest)
 
@@ -99,10 +95,8 @@ def _add_tangent(
     axes: Array,
     q: Array,
     principal: Array,
+    block_of: Array,
     blocks: Array,
-    stiffness: Array,
-    coupling_upper: Array,
-    coupling_lower: Array,
 ) -> None:
     shear, local, half = np.zeros((3, 3)), np.empty((3, 3)), np.empty((3, 3))
     for i in range(3):
@@ -115,7 +109,7 @@ def _add_tangent(
     k = 0
     for a in range(4):
         for b in range(a, 4):
-            block = blocks[k]
+            block = blocks[block_of[k]]
             k += 1
             pa, pb = principal[a], principal[b]
             initial = tau[0] * pa[0] * pb[0] + tau[1] * pa[1] * pb[1] + tau[2] * pa[2] * pb[2]
@@ -127,13 +121,13 @@ def _add_tangent(
                 for j in range(3):
                     local[i, i] += shear[i, j] * pa[j] * pb[j]
             for i in range(3):
-                coupling_upper[block, i] += quarter * q[a, i]
-                coupling_lower[block, i] += quarter * q[b, i]
+                block[i, 3] += quarter * q[a, i]
+                block[3, i] += quarter * q[b, i]
                 for j in range(3):
                     half[i, j] = axes[i, 0] * local[0, j] + axes[i, 1] * local[1, j] + axes[i, 2] * local[2, j]
             for i in range(3):
                 for j in range(3):
-                    stiffness[block, i, j] += volume * (
+                    block[i, j] += volume * (
                         half[i, 0] * axes[j, 0] + half[i, 1] * axes[j, 1] + half[i, 2] * axes[j, 2]
                     )
 

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from simcore.fem.constraints import Constraints
 from simcore.fem.contact import FREE, MAX_PULL, Contact, Plates
-from simcore.fem.element import volume_ratios
+from simcore.fem.element import keeps_volume
 from simcore.fem.friction import Friction, Slip
 from simcore.fem.linear import Guard, Tangent
 from simcore.fem.model import Floats, Model, System
@@ -24,6 +24,12 @@ _CG_TOLERANCE = 3e-3
 """How exactly linear systems are solved. At 1e-2 Newton's method takes two or three iterations more, at 1e-3 none
 less, but half as many products again."""
 _EXACT_CG_TOLERANCE = 1e-4
+_NEAR = 1e-3
+"""Residual below which they are solved exactly: the last iteration must find a direction in which the breast would
+buckle."""
+LONGEST_WAY = 1.75
+"""What a node may move in a load step, relative to the plates, where the tangent was not positive on the way: more is
+a jump to another equilibrium. Smooth compressions stay at 1, and below 1.7 with friction."""
 _STALLED = 0.8
 """A residual that does not fall below this share of the last one, with the contact at rest, calls for half a step:
 Newton's method can swing to and fro across the kink where skin begins to wrinkle."""
@@ -120,11 +126,11 @@ class Solver:
     ) -> tuple[State, LoadStep]:
         """Newton's method with the plates at rest. raises: StepFailed"""
         model = self.model
-        system = model.system()
+        system = model.system(single=True)
         force, node_volume = system.force, system.node_volume
         u, p, contact = state.displacement, state.pressure, state.contact.new_load_step()
         slip: Slip | None = None
-        definite = True
+        definite, wavered = True, False
         pace = _Pace(_STALLED if self.friction is None else 1.0)
         for iteration in range(MAX_NEWTON):
             if not model.assemble(u, p, system) > 0:
@@ -156,14 +162,16 @@ class Solver:
                     continue
                 if not definite and not self._stable(self._tangent(system, compliance), constraints):
                     raise StepFailed("unstable-equilibrium")
+                if wavered and self._jumped(state, u, plates):
+                    raise StepFailed("unstable-equilibrium")
                 carried = force if self.friction is None else model.internal_force(u, p)
                 low, high = contact.forces(carried[:, 2])
                 return State(u, p, contact, plates, slip), LoadStep(np.nan, low, high, residual, iteration)
             tangent = self._tangent(system, compliance)
-            du, dp, definite = self._direction(
-                tangent, force, volume_residual, constraints, gap,
-                _CG_TOLERANCE if iteration < _EXACT_FROM else _EXACT_CG_TOLERANCE,
-            )  # fmt: skip
+            near = residual < _NEAR and iteration > 0
+            exactness = _EXACT_CG_TOLERANCE if near or iteration >= _EXACT_FROM else _CG_TOLERANCE
+            du, dp, definite = self._direction(tangent, force, volume_residual, constraints, gap, exactness)
+            wavered = wavered or not definite
             length = self._step_length(u, du)
             length *= pace.length
             u, p = u + length * du, p + length * dp
@@ -177,6 +185,12 @@ class Solver:
         """Whether the tangent is positive along the directions that answer a load on every degree of freedom."""
         load = np.cos(np.arange(constraints.free.size, dtype=np.float64)).reshape(-1, 3)
         return tangent.solve(load, constraints, self.guard, _EXACT_CG_TOLERANCE).definite
+
+    def _jumped(self, before: State, u: Floats, plates: Plates) -> bool:
+        """Whether nodes moved much further than the plates, as those of a breast do that buckles aside."""
+        was = before.plates or Plates.at(self.model.nodes[:, 2], 0.0)
+        travel = 0.5 * (plates.lower - was.lower + was.upper - plates.upper)
+        return float(np.abs(u - before.displacement).max()) > LONGEST_WAY * travel
 
     def with_friction(self, state: State, force: Floats) -> Floats:
         """``force`` (n, 3), the internal one less the dead load, and the resistance of friction, N."""
@@ -196,7 +210,7 @@ class Solver:
         push = contact.push(system.force, plates)
         system.force[:] += self.friction.resistance(slip, push)
         nodes, blocks = self.friction.stiffness(slip, push, contact, plates, secant)
-        system.stiffness[self.model.pattern.row_start[nodes]] += blocks
+        system.stiffness[self.model.pattern.row_start[nodes]] += blocks.astype(np.float32)
         return slip
 
     def relative_residual(self, force: Floats, constraints: Constraints, contact: Contact) -> float:
@@ -232,9 +246,8 @@ class Solver:
     def _step_length(self, u: Floats, du: Floats) -> float:
         """The longest of 1, 0.6, 0.36, ... that leaves every element its share of volume. raises: StepFailed"""
         tets, gradients = self.model.tets, self.model.gradients
-        smallest = SMALLEST_VOLUME_STEP * volume_ratios(u, tets, gradients)
         length = 1.0
-        while not (volume_ratios(u + length * du, tets, gradients) >= smallest).all():
+        while not keeps_volume(u, du, length, tets, gradients, SMALLEST_VOLUME_STEP):
             length *= 0.6
             if length < SHORTEST_STEP:
                 raise StepFailed("inverted-element")
