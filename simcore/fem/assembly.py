@@ -112,7 +112,7 @@ def _add_force(force: Array, node: int, along_f: float, f: Any, along_q: float, 
 
 
 @njit(inline="always")
-def _product(gradients: Array, e: int, a: int, b: int) -> float:
+def _product(gradients: Array, e: int, a: int, b: int) -> Any:
     return (
         gradients[e, a, 0] * gradients[e, b, 0]
         + gradients[e, a, 1] * gradients[e, b, 1]
