@@ -189,7 +189,11 @@ class Solver:
     def _jumped(self, before: State, u: Floats, plates: Plates) -> bool:
         """Whether nodes moved much further than the plates, as those of a breast do that buckles aside."""
         was = before.plates or Plates.at(self.model.nodes[:, 2], 0.0)
-        travel = 0.5 * (plates.lower - was.lower + was.upper - plates.upper)
+        points = self.model.nodes + u
+        travel = max(
+            float(np.abs(now - then).max())
+            for now, then in zip(plates.heights(points), was.heights(points), strict=True)
+        )
         return float(np.abs(u - before.displacement).max()) > LONGEST_WAY * travel
 
     def with_friction(self, state: State, force: Floats) -> Floats:
