@@ -2,8 +2,9 @@
 
     python -m bench.meshers [--edge-mm 5.5] [--percent 50] [--voxel-mm 0.5] [--convergence]
 
-Seconds are those from the outline to tetrahedra (fTetWild with its process and files), the least of three for the
-lattice; the outline itself, which both share, and the numbering and report of the mesh stage are printed apart.
+Exit code 1 where the lattice is less than 50 times as fast, has an angle of 10 degrees or less, or gives another
+force. Seconds are those from the outline to tetrahedra (fTetWild with its process and files), the least of three for
+the lattice; the outline itself, which both share, and the numbering and report of the mesh stage are printed apart.
 ``--convergence`` adds meshes from 5k to 100k tetrahedra of both (several minutes). Last line: one JSON object.
 """
 
@@ -29,6 +30,9 @@ from simcore.phantom.spec import AnthropomorphicPhantom
 from simcore.presets import CUPS
 
 CONVERGENCE_MM = (10.5, 8.0, 5.5, 3.9)
+MIN_RATIO = 50.0
+MIN_DIHEDRAL_DEG = 10.0
+MAX_FORCE_DIFFERENCE = 0.01
 
 
 def main() -> int:
@@ -46,8 +50,22 @@ def main() -> int:
         for edge in CONVERGENCE_MM:
             for spec in (LatticeMesh(edge_length_mm=edge), TetwildMesh(edge_length_mm=edge)):
                 print(row(breast, spec, compression), flush=True)
-    print(json.dumps(compared(breast, args.edge_mm, compression)))
-    return 0
+    result = compared(breast, args.edge_mm, compression)
+    found = problems(result)
+    print(json.dumps(result | {"problems": found}))
+    return 1 if found else 0
+
+
+def problems(result: dict[str, Any]) -> list[str]:
+    """What the lattice does not keep of its promises."""
+    found = []
+    if result["ratio"] < MIN_RATIO:
+        found.append(f"{result['ratio']} times as fast, at least {MIN_RATIO:g} wanted")
+    if result["min_dihedral_deg"] <= MIN_DIHEDRAL_DEG:
+        found.append(f"an angle of {result['min_dihedral_deg']} degrees, more than {MIN_DIHEDRAL_DEG:g} wanted")
+    if abs(result["force_N"] / result["peer_force_N"] - 1) > MAX_FORCE_DIFFERENCE:
+        found.append(f"{result['force_N']} N where fTetWild's mesh gives {result['peer_force_N']} N")
+    return found
 
 
 def compared(breast: Phantom, edge_mm: float, compression: CompressionSpec) -> dict[str, Any]:

@@ -85,25 +85,31 @@ def _volume(q: Any, w: Any) -> Any:
 @LinearForm
 def _wanted_volume(q: Any, w: Any) -> Any:
     t = w["p"] / w["kappa"]
-    return q * (t + np.sqrt(t * t + 1))
+    return q * (1 + t if w["squared"] else t + np.sqrt(t * t + 1))
 
 
 @BilinearForm
 def _compliance(p: Any, q: Any, w: Any) -> Any:
     t = w["p"] / w["kappa"]
-    return p * q * (1 + t / np.sqrt(t * t + 1)) / w["kappa"]
+    return p * q * (1 if w["squared"] else 1 + t / np.sqrt(t * t + 1)) / w["kappa"]
 
 
 def hold(
-    mesh: TetMesh, material: NeoHookean, ours: Compression, *, load_steps: int = 8, tolerance: float = 1e-8
+    mesh: TetMesh,
+    material: NeoHookean,
+    ours: Compression,
+    *,
+    load_steps: int = 8,
+    tolerance: float = 1e-8,
+    squared: bool = False,
 ) -> ScikitRun:
     """Contact prescribed: what lies on a plate in ``ours`` gets its z displacement, in equal load steps from rest.
 
     mesh: symmetric about y = 0: two wall nodes there are held along y, where ours has a guard against rolling.
-    tolerance: residual relative to the largest nodal force.
+    tolerance: residual relative to the largest nodal force. squared: with CalculiX's volumetric energy, see there.
     """
     start = time.perf_counter()
-    problem = MixedProblem.of_tets(mesh, material)
+    problem = MixedProblem.of_tets(mesh, material, squared)
     nodes = mesh.nodes
     height = nodes[:, 2] + ours.displacement[:, 2]
     lower, upper = (np.flatnonzero(np.abs(height - plate) < ON_PLATE_MM) for plate in ours.plate_z)
@@ -127,23 +133,24 @@ def hold(
 @dataclass(frozen=True, eq=False)
 class MixedProblem:
     """Displacement and pressure. displacements, pressures, corners: bases, the last one for the term in J(p).
-    shear, bulk: N/mm^2."""
+    shear, bulk: N/mm^2. squared: volumetric energy kappa/2 (J - 1)^2 instead of ours."""
 
     displacements: Any
     pressures: Any
     corners: Any
     shear: float
     bulk: float
+    squared: bool = False
 
     @classmethod
-    def of_tets(cls, mesh: TetMesh, material: NeoHookean) -> MixedProblem:
+    def of_tets(cls, mesh: TetMesh, material: NeoHookean, squared: bool = False) -> MixedProblem:
         law = material.law()
         tets = MeshTet(np.ascontiguousarray(mesh.nodes.T), np.ascontiguousarray(mesh.tets.T))
         displacements = Basis(tets, ElementVector(ElementTetP1()), intorder=1)
         points = np.concatenate([np.zeros((3, 1)), np.eye(3)], axis=1)
         corners = Basis(tets, ElementTetP1(), quadrature=(points, np.full(4, 1 / 24)))
         pressures = displacements.with_element(ElementTetP1())
-        return cls(displacements, pressures, corners, law.shear * 1e-3, law.bulk * 1e-3)
+        return cls(displacements, pressures, corners, law.shear * 1e-3, law.bulk * 1e-3, squared)
 
     @property
     def shape(self) -> tuple[int, int]:
@@ -202,4 +209,4 @@ class MixedProblem:
         }
 
     def _pressure_at(self, basis: Any, pressure: Floats) -> dict[str, Any]:
-        return {"p": basis.interpolate(pressure), "kappa": self.bulk}
+        return {"p": basis.interpolate(pressure), "kappa": self.bulk, "squared": self.squared}

@@ -11,9 +11,16 @@ from bench.peers import calculix, scikit
 from bench.verification.check import Check, absolute, at_least, relative
 from bench.verification.exact import MATERIAL
 from bench.verification.explicit import relax
+from simcore import phantom
 from simcore.core.artifacts import Compression, TetMesh
 from simcore.fem import CompressionSpec, compress
+from simcore.fem.materials.published import Published
+from simcore.fem.spec import SkinMembrane
+from simcore.mesh import build
+from simcore.mesh.spec import LatticeMesh
 from simcore.mesh.structured import half_ellipsoid
+from simcore.phantom.spec import AnthropomorphicPhantom
+from simcore.presets import CUPS
 
 SPEC = CompressionSpec(percent=50.0, material=MATERIAL)
 SIZES = (5, 7, 10, 14, 20)
@@ -86,6 +93,32 @@ def calculix_checks(cells: int = 20) -> Iterator[Check]:
     yield relative("CalculiX", f"prescribed contact, {what}: plate force", held.force_N, ours.force_N, 0.005, "N")
     free = calculix.compress(mesh.nodes, quadratic, MATERIAL, SPEC.percent)
     yield relative("CalculiX", f"own contact, {what}: plate force", free.force_N, ours.force_N, 0.005, "N")
+
+
+def skin_checks(cells: tuple[int, int] = (14, 29)) -> Iterator[Check]:
+    """From about 10 000 to 100 000 tetrahedra."""
+    spec = SPEC.with_(skin=SkinMembrane(youngs_modulus_kPa=500.0))
+    coarse, fine = (half_ellipsoid(C_CUP, n) for n in cells)
+    what = f"cup C with skin of 1.5 mm, 500 kPa, {len(coarse.tets)} and {len(fine.tets)} tetrahedra: plate force"
+    forces = [compress(mesh, ONE_TISSUE, spec).force_N for mesh in (coarse, fine)]
+    yield relative("Skin", what, forces[1], forces[0], 0.02, "N")
+
+
+def deep_checks(cells: int = 20) -> Iterator[Check]:
+    """To 70 % in one load step and in ten."""
+    mesh = half_ellipsoid(C_CUP, cells)
+    spec = SPEC.with_(percent=70.0)
+    once, stepped = (compress(mesh, ONE_TISSUE, s) for s in (spec, spec.with_(load_steps=10)))
+    what = f"cup C at 70 %, {len(mesh.tets)} tetrahedra, one load step or ten"
+    yield relative("Deep compression", f"{what}: plate force", stepped.force_N, once.force_N, 1e-4, "N")
+    least = min(r.report["min_det_F"] for r in (once, stepped))
+    yield at_least("Deep compression", f"{what}: smallest det F", 0.1, least)
+    breast = phantom.generate(AnthropomorphicPhantom(volume_ml=CUPS["c"][0], voxel_mm=0.5), 1)
+    whole = build(breast, LatticeMesh(edge_length_mm=5.5))
+    by_tissue = spec.with_(material=Published(source="victre"), skin=SkinMembrane(youngs_modulus_kPa=200.0))
+    result = compress(whole, breast, by_tissue)
+    what = f"whole cup C with skin and a law a tissue at 70 %, lattice of {len(whole.tets)} tetrahedra: smallest det F"
+    yield at_least("Deep compression", what, 0.1, result.report["min_det_F"])
 
 
 def _against(

@@ -15,6 +15,7 @@ from simcore.fem.linear import Guard
 from simcore.fem.model import Model
 from simcore.fem.path import Target, follow
 from simcore.fem.plate_bending import BendingPlate
+from simcore.fem.plate_edge import PlateEdge
 from simcore.fem.press import ElasticPress, Press, RigidPress, SpringPress
 from simcore.fem.report import report, verify
 from simcore.fem.solver import Solver
@@ -35,12 +36,14 @@ def compress_mesh(mesh: TetMesh, phantom: Phantom, spec: CompressionSpec, progre
         )
     solver = solver_of(mesh, phantom, spec)
     contact = Contact.none(mesh.skin, len(mesh.nodes)).holding(mesh.wall)
+    edge = None
     if spec.chest_wall == "fixed":
         contact = contact.without(mesh.wall)
+        edge = PlateEdge.of(mesh.nodes, mesh.wall, spec.plate_edge_mm)
     target = target_of(spec, float(np.ptp(mesh.nodes[:, 2])))
     # Friction depends on the way.
     load_steps = spec.load_steps if solver.friction is None else max(spec.load_steps, FRICTION_LOAD_STEPS)
-    solution = follow(solver, contact, target, load_steps, part(progress, 0.05, 0.98), press_of(spec))
+    solution = follow(solver, contact, target, load_steps, part(progress, 0.05, 0.98), press_of(spec, edge))
     plates = solution.state.plates
     assert plates is not None  # no state but that of rest is without
     verify(solver, solution, plates)
@@ -73,17 +76,17 @@ def solver_of(mesh: TetMesh, phantom: Phantom, spec: CompressionSpec) -> Solver:
     return Solver(model, fixed, guard, spec.tolerance, friction)
 
 
-def press_of(spec: CompressionSpec) -> Press:
-    """How the plates of ``spec`` give way."""
+def press_of(spec: CompressionSpec, edge: PlateEdge | None = None) -> Press:
+    """How the plates of ``spec`` give way. edge: theirs at a fixed chest wall."""
     if spec.spring_paddle is not None:
         paddle = spec.spring_paddle
-        return SpringPress(math.degrees(paddle.stiffness_Nmm_per_degree), paddle.pivot_mm)
+        return SpringPress(math.degrees(paddle.stiffness_Nmm_per_degree), paddle.pivot_mm, edge)
     if spec.elastic_plates is not None:
         p = spec.elastic_plates
         return ElasticPress(
-            BendingPlate.of(p.depth_mm, p.width_mm, p.thickness_mm, p.youngs_modulus_MPa, p.poissons_ratio)
+            BendingPlate.of(p.depth_mm, p.width_mm, p.thickness_mm, p.youngs_modulus_MPa, p.poissons_ratio), edge
         )
-    return RigidPress(math.tan(math.radians(spec.paddle_angle_degrees)))
+    return RigidPress(math.tan(math.radians(spec.paddle_angle_degrees)), edge)
 
 
 def target_of(spec: CompressionSpec, thickness_mm: float) -> Target:

@@ -29,6 +29,7 @@ class Plates:
 
     lower, upper: z of the plates, mm; of a tilted upper plate at x = pivot. slope: dz/dx of the upper plate.
     lower_bend, upper_bend: (n,) z that bending adds at the nodes, mm; none for rigid plates.
+    lower_rise, upper_rise: (n,) z that an edge at a fixed chest wall adds at the nodes, mm; none for flat plates.
     """
 
     lower: float
@@ -37,6 +38,8 @@ class Plates:
     pivot: float = 0.0
     lower_bend: Floats | None = None
     upper_bend: Floats | None = None
+    lower_rise: Floats | None = None
+    upper_rise: Floats | None = None
 
     @classmethod
     def at(cls, z: Floats, percent: float, slope: float = 0.0, pivot: float = 0.0) -> Plates:
@@ -53,7 +56,7 @@ class Plates:
 
     @property
     def level(self) -> bool:
-        """Whether both are planes z = constant."""
+        """Whether both are planes z = constant, but for an edge."""
         return self.slope == 0.0 and self.lower_bend is None and self.upper_bend is None
 
     def bounds(self, points: Floats) -> tuple[float, float]:
@@ -68,10 +71,10 @@ class Plates:
         upper: Floats | float = self.upper
         if self.slope != 0.0:
             upper = upper + self.slope * (points[:, 0] - self.pivot)
-        if self.lower_bend is not None:
-            lower = lower + self.lower_bend
-        if self.upper_bend is not None:
-            upper = upper + self.upper_bend
+        for added in (self.lower_bend, self.lower_rise):
+            lower = lower if added is None else lower + added
+        for added in (self.upper_bend, self.upper_rise):
+            upper = upper if added is None else upper + added
         return lower, upper
 
 

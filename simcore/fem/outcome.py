@@ -20,8 +20,8 @@ ADVICE = {
     "force-limit": "the plates press with more than force_limit_N = {limit:g} N; ask for a smaller percent, a softer "
     "material or a higher limit",
     "locked-tissue": "the plates press with {pressure:.3g} times Young's modulus of the stiffest tissue on the outline "
-    "of the breast, where at most {limit:g} is meaningful; ask for a smaller percent, a free chest_wall or a law that "
-    "stiffens less",
+    "of the breast, where at most {limit:g} is meaningful; ask for a smaller percent, a free chest_wall, a wider "
+    "plate_edge_mm or a law that stiffens less",
     "target-not-reached": "the plates press with {force:.4g} N where force_N = {target:g} is wanted and percent "
     "allows no more; raise percent or lower force_N",
 }

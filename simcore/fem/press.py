@@ -1,4 +1,5 @@
-"""What the plates do while the breast pushes back: nothing, tilt, turn on a spring, or bend."""
+"""What the plates do while the breast pushes back: nothing, tilt, turn on a spring, or bend; edge: theirs at a fixed
+chest wall."""
 
 from __future__ import annotations
 
@@ -11,6 +12,7 @@ import numpy as np
 from simcore.fem.contact import LOWER, UPPER, Plates
 from simcore.fem.model import Floats
 from simcore.fem.plate_bending import BendingPlate
+from simcore.fem.plate_edge import PlateEdge
 from simcore.fem.solver import LoadStep, Solver, State, StepFailed
 
 Report = Callable[[int, float], None]
@@ -30,17 +32,23 @@ class Press(Protocol):
         ...
 
 
-@dataclass(frozen=True)
+def _closed(solver: Solver, percent: float, edge: PlateEdge | None, slope: float = 0.0, pivot: float = 0.0) -> Plates:
+    plates = Plates.at(solver.model.nodes[:, 2], percent, slope, pivot)
+    return plates if edge is None else edge.on(plates)
+
+
+@dataclass(frozen=True, eq=False)
 class RigidPress:
     """Rigid plates. slope: dz/dx of the upper one, which turns about the chest wall, x = 0."""
 
     slope: float = 0.0
+    edge: PlateEdge | None = None
 
     def settle(self, solver: Solver, state: State, percent: float, report: Report) -> tuple[State, LoadStep]:
-        return solver.load_step(state, Plates.at(solver.model.nodes[:, 2], percent, self.slope), report)
+        return solver.load_step(state, _closed(solver, percent, self.edge, self.slope), report)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class SpringPress:
     """The upper plate turns about the line x = pivot until its spring holds the moment of the breast.
 
@@ -49,6 +57,7 @@ class SpringPress:
 
     stiffness: float
     pivot: float
+    edge: PlateEdge | None = None
 
     def settle(self, solver: Solver, state: State, percent: float, report: Report) -> tuple[State, LoadStep]:
         """The angle at which the moments balance, by the secant method inside a bracket."""
@@ -58,7 +67,7 @@ class SpringPress:
         last: tuple[float, float] | None = None
         start, now = state, state
         for _ in range(MAX_ROUNDS):
-            plates = Plates.at(solver.model.nodes[:, 2], percent, float(np.tan(angle)), self.pivot)
+            plates = _closed(solver, percent, self.edge, float(np.tan(angle)), self.pivot)
             now, step = solver.load_step(start if solver.friction is not None else now, plates, report)
             moment, scale = self._moment(solver, now, plates)
             rest = self.stiffness * angle - moment
@@ -105,10 +114,11 @@ class ElasticPress:
     """Both plates bend; their supported edges move by the travel."""
 
     plate: BendingPlate
+    edge: PlateEdge | None = None
 
     def settle(self, solver: Solver, state: State, percent: float, report: Report) -> tuple[State, LoadStep]:
         """The deflection that the contact forces keep up, by fixed-point rounds with Aitken's relaxation."""
-        rigid = Plates.at(solver.model.nodes[:, 2], percent)
+        rigid = _closed(solver, percent, self.edge)
         n = len(solver.model.nodes)
         bend = np.zeros((2, n))
         if state.plates is not None and state.plates.lower_bend is not None and state.plates.upper_bend is not None:

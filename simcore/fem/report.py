@@ -107,11 +107,12 @@ def report(mesh: TetMesh, solver: Solver, solution: Solution, plates: Plates) ->
 
 
 def _plate_facts(plates: Plates, status: NDArray[np.int8]) -> Report:
-    """Travel, tilt and bending of the plates."""
+    """Travel, tilt and bending of the plates, and the rise of their edge at a fixed chest wall."""
     bends = [
         0.0 if bend is None else float(np.abs(bend[status == plate]).max(initial=0.0))
         for bend, plate in ((plates.lower_bend, LOWER), (plates.upper_bend, UPPER))
     ]
+    rises = [0.0 if rise is None else float(np.abs(rise).max()) for rise in (plates.lower_rise, plates.upper_rise)]
     return {
         "lower_z_mm": plates.lower,
         "upper_z_mm": plates.upper,
@@ -119,6 +120,8 @@ def _plate_facts(plates: Plates, status: NDArray[np.int8]) -> Report:
         "upper_pivot_x_mm": plates.pivot,
         "lower_bend_mm": bends[0],
         "upper_bend_mm": bends[1],
+        "lower_rise_mm": rises[0],
+        "upper_rise_mm": rises[1],
     }
 
 

@@ -109,8 +109,16 @@ class CompressionSpec(Spec):
     elastic_plates: ElasticPlates | None = Field(None, description="plates that bend; rigid ones where not given")
     chest_wall: Literal["free_in_plane", "fixed"] = Field(
         "free_in_plane",
-        description="free_in_plane: held along x, free along y and z, without drift and roll. fixed: held altogether; "
-        "the plates then do not touch the wall, where the breast stays thicker than they are apart",
+        description="free_in_plane: held along x, free along y and z, without drift and roll. fixed: held altogether, "
+        "so that the breast stays thicker there than the plates are apart; their edge is plate_edge_mm",
+    )
+    plate_edge_mm: float = quantity(
+        "with a fixed chest wall alone: distance from it, on the undeformed breast, at which the plates become flat; "
+        "nearer they rise as a parabola to clear the wall's rim",
+        unit="mm",
+        default=40.0,
+        ge=1.0,
+        le=200.0,
     )
     load_steps: int = Field(
         1, ge=1, le=100, description="load steps to begin with; halved by itself where one fails [1]"

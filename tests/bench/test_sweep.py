@@ -70,6 +70,20 @@ def test_drawn_specifications_differ_and_cover_the_materials() -> None:
     assert len({spec.model_dump_json() for spec in specs}) > 140
     assert len({spec.material.kind for spec in specs}) >= 6
     assert all(20 <= spec.percent <= 70 for spec in specs)
+    ratios = [s.material.poissons_ratio for s in specs if hasattr(s.material, "poissons_ratio")]
+    assert min(ratios) < 0.02
+    assert 0.49 < max(ratios) <= 0.499
+    asked = set().union(*(spec.model_fields_set for spec in specs))
+    assert asked >= {"skin", "gravity", "friction", "chest_wall", "paddle_angle_degrees", "spring_paddle"}
+    assert asked >= {"elastic_plates", "load_steps"}
+
+
+def test_a_node_behind_a_plate_is_seen_at_a_fixed_wall_too(mesh: TetMesh) -> None:
+    spec = SPEC.with_(chest_wall="fixed")
+    result = compress(mesh, ONE_TISSUE, spec)
+    assert faults(mesh, spec, result) == []
+    wrong = replace(result, plate_z=(result.plate_z[0] + 0.01, result.plate_z[1]))
+    assert ["behind a plate" in fault for fault in faults(mesh, spec, wrong)] == [True]
 
 
 def test_gland_lies_inside() -> None:

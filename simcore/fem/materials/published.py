@@ -21,9 +21,9 @@ class Published(Spec):
     """The laws of a publication, mixed in every tetrahedron as by ``by_tissue``."""
 
     kind: Literal["published"] = "published"
-    source: Literal["bakic-1998", "wellman-1999", "victre"] = Field(
+    source: Literal["bakic-1998", "wellman-1999", "victre", "aspiration"] = Field(
         description="bakic-1998: adipose tissue everywhere, 48.6 kPa. wellman-1999: 4.46 and 15.1 kPa, small strain. "
-        "victre: fat 5, gland 15, mass 20 kPa"
+        "victre: fat 5, gland 15, mass 20 kPa. aspiration: 3.04 kPa everywhere, in vivo, small strain"
     )
 
     @classmethod

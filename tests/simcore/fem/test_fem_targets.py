@@ -14,9 +14,11 @@ from simcore.core.artifacts import Compression, Phantom, TetMesh
 from simcore.core.errors import SolverError
 from simcore.core.grid import Grid
 from simcore.fem import CompressionSpec, compress
+from simcore.fem.contact import Plates
 from simcore.fem.materials.veronda_westmann import VerondaWestmann
 from simcore.fem.materials.wellman import Wellman
 from simcore.fem.outcome import ADVICE, CompressionFailed
+from simcore.fem.plate_edge import PlateEdge
 from simcore.fem.summary import shape_summary
 from simcore.mesh.structured import box, half_ellipsoid
 
@@ -129,13 +131,51 @@ def test_a_fixed_wall_keeps_its_place_and_stiffens() -> None:
     held = compress(mesh, ANY_PHANTOM, spec.with_(chest_wall="fixed"))
     assert (held.displacement[mesh.wall] == 0).all()
     assert held.report["min_det_F"] > 0
+    away = mesh.nodes[:, 0] >= spec.plate_edge_mm
+    height = (mesh.nodes + held.displacement)[away, 2]
+    assert held.plate_z == pytest.approx((height.min(), height.max()), abs=1e-5)
     # Less area under the plates near the wall against more constraint.
     assert 0.5 * free.force_N < held.force_N < 2 * free.force_N
 
 
+def test_the_force_at_a_fixed_wall_converges_where_the_plates_have_an_edge() -> None:
+    """Flat up to the wall, they would have to make a jump in the displacement: any force comes out."""
+    forces = {}
+    for edge in (1.0, 40.0):
+        spec = CompressionSpec(percent=50.0, chest_wall="fixed", plate_edge_mm=edge)
+        forces[edge] = [compress(half_ellipsoid(C_CUP, cells), ANY_PHANTOM, spec).force_N for cells in (12, 16)]
+    assert forces[40.0][1] == pytest.approx(forces[40.0][0], rel=0.03)
+    assert forces[1.0][1] > 1.08 * forces[1.0][0]
+
+
+def test_the_edge_clears_the_rim_and_ends_where_it_should(mesh: TetMesh) -> None:
+    spec = CompressionSpec(percent=50.0, chest_wall="fixed", plate_edge_mm=40.0)
+    result = compress(mesh, ANY_PHANTOM, spec)
+    low, high = result.plate_z
+    facts = result.report["plates"]
+    assert high + facts["upper_rise_mm"] > mesh.nodes[mesh.wall, 2].max()
+    assert low - facts["lower_rise_mm"] < mesh.nodes[mesh.wall, 2].min()
+    skin = np.unique(mesh.skin)
+    share = np.maximum(1 - mesh.nodes[skin, 0] / 40.0, 0.0) ** 2
+    height = (mesh.nodes + result.displacement)[skin, 2]
+    assert (height - high - facts["upper_rise_mm"] * share).max() == pytest.approx(0, abs=1e-5)
+    assert (low - facts["lower_rise_mm"] * share - height).max() == pytest.approx(0, abs=1e-5)
+    assert (height - high).max() > 1
+    # Plates that have not come to the rim are flat.
+    plates = Plates(-100.0, 100.0)
+    edge = PlateEdge.of(mesh.nodes, mesh.wall, 40.0).on(plates)
+    assert np.abs(edge.heights(mesh.nodes)[0] - plates.lower).max() == 0
+    assert np.abs(edge.heights(mesh.nodes)[1] - plates.upper).max() == 0
+
+
+def test_a_free_wall_has_no_edge(mesh: TetMesh, halved: Compression) -> None:
+    other = compress(mesh, ANY_PHANTOM, CompressionSpec(plate_edge_mm=10.0))
+    assert other.displacement.tobytes() == halved.displacement.tobytes()
+
+
 def test_tissue_crushed_against_a_fixed_wall_is_refused() -> None:
     material = VerondaWestmann(youngs_modulus_kPa=20.0, exponent=2.0)
-    spec = CompressionSpec(percent=65.0, material=material, chest_wall="fixed")
+    spec = CompressionSpec(percent=65.0, material=material, chest_wall="fixed", plate_edge_mm=10.0)
     with pytest.raises(CompressionFailed, match="free chest_wall") as error:
         compress(half_ellipsoid(C_CUP, 8), ANY_PHANTOM, spec)
     assert error.value.code == "locked-tissue"

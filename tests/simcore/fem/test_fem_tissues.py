@@ -139,6 +139,7 @@ def test_published_sets_are_what_the_specification_offers() -> None:
         assert set(Published(source=name).laws()) == set(Tissue)
     assert Published(source="wellman-1999").laws()[Tissue.GLAND].shear == pytest.approx(15.1 / 2 / 1.499)
     assert Published(source="victre").laws()[Tissue.CALCIFICATION].shear == pytest.approx(20 / 2 / 1.49)
+    assert Published(source="aspiration").laws()[Tissue.GLAND].shear == pytest.approx(3.04 / 2 / 1.475)
 
 
 def test_small_strain_does_not_mix_with_large() -> None:
