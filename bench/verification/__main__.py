@@ -51,7 +51,7 @@ def main() -> int:
         calculix_ladder.energy_checks(),
     ]
     notes = []
-    if args.long:
+    if args.long and calculix.available():
         calculix_ladder.record(list(calculix_ladder.climb()))
     suites.append(calculix_ladder.ladder_checks(calculix_ladder.recorded()))
     if args.without_calculix or not calculix.available():
