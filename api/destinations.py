@@ -12,6 +12,7 @@ from api.bodies import body_of, parsed, posted
 from api.delivery_resources import DestinationList, DestinationName, DestinationResource, EchoResource
 from api.deps import Served, Services, identifier_of, read_body, services
 from api.errors import ApiError
+from api.idempotency import IdempotentRoute, Making
 from api.resources import PREFIX, when
 from worker.delivery.addresses import DestinationNotAllowed, require_allowed
 from worker.destinations import Destination, DestinationRow, InUseError, NameTakenError
@@ -19,7 +20,7 @@ from worker.leases import NotFoundError
 
 MERGE_PATCH = "application/merge-patch+json"
 
-router = APIRouter(prefix="/destinations", tags=["deliveries"])
+router = APIRouter(prefix="/destinations", tags=["deliveries"], route_class=IdempotentRoute)
 
 
 Identifier = Annotated[str, Depends(identifier_of("destination"))]
@@ -50,14 +51,17 @@ def create(
     caller: Administer,
     new: Annotated[Destination, Depends(_new)],
     served: Served,
+    making: Making,
     request: Request,
     response: Response,
 ) -> DestinationResource:
     """Makes a destination. Nothing is sent to it; ``echo`` tests it."""
-    try:
-        row = served.destinations.create(new)
-    except NameTakenError as error:
-        raise _name_taken(error) from None
+    row = served.destinations.made_before(making.identifier) if making.again else None
+    if row is None:
+        try:
+            row = served.destinations.create(new, making.identifier)
+        except NameTakenError as error:
+            raise _name_taken(error) from None
     response.headers["Location"] = str(request.base_url).rstrip("/") + destination_path(row.id)
     return destination_resource(row)
 

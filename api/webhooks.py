@@ -12,6 +12,7 @@ from api.auth import Write
 from api.bodies import body_of, posted
 from api.deps import Identifier, Served, services
 from api.errors import ApiError
+from api.idempotency import IdempotentRoute, Making
 from api.webhook_resources import (
     CreatedWebhook,
     MessagePage,
@@ -28,7 +29,7 @@ from worker.leases import NotFoundError, StateError
 
 MAX_WEBHOOKS = 100
 
-router = APIRouter(prefix="/webhooks", tags=["webhooks"])
+router = APIRouter(prefix="/webhooks", tags=["webhooks"], route_class=IdempotentRoute)
 
 
 async def _new_webhook(request: Request) -> NewWebhook:
@@ -59,13 +60,18 @@ def create(
     caller: Write,
     new: Annotated[NewWebhook, Depends(_new_webhook)],
     served: Served,
+    making: Making,
     request: Request,
     response: Response,
 ) -> CreatedWebhook:
     """Makes a webhook. Its messages are signed as Standard Webhooks says, with the secret that is shown only now."""
-    if len(served.webhooks.all()) >= MAX_WEBHOOKS:
-        raise ApiError(409, "too-many-webhooks", f"there are {MAX_WEBHOOKS} webhooks: delete one first")
-    row, secret = served.webhooks.create(new.url, new.events, new.description.replace("\0", ""))
+    made = served.webhooks.made_before(making.identifier) if making.again else None
+    if made is None:
+        if len(served.webhooks.all()) >= MAX_WEBHOOKS:
+            raise ApiError(409, "too-many-webhooks", f"there are {MAX_WEBHOOKS} webhooks: delete one first")
+        description = new.description.replace("\0", "")
+        made = served.webhooks.create(new.url, new.events, description, making.identifier)
+    row, secret = made
     response.headers["Location"] = str(request.base_url).rstrip("/") + webhook_path(row.id)
     return CreatedWebhook(**webhook_resource(row).model_dump(), secret=secret)
 
@@ -89,9 +95,9 @@ def delete(caller: Write, identifier: Identifier, served: Served) -> None:
 
 
 @router.post("/{identifier}/test", status_code=202)
-def test(caller: Write, identifier: Identifier, served: Served) -> MessageResource:
+def test(caller: Write, identifier: Identifier, served: Served, making: Making) -> MessageResource:
     """Sends a message of the event ``webhook.test``; its document says whether it arrived."""
-    return message_resource(served.webhooks.test(identifier), [])
+    return message_resource(served.webhooks.test(identifier, making.identifier), [])
 
 
 @router.post("/{identifier}/enable")

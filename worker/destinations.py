@@ -61,16 +61,25 @@ class Destinations:
         self.engine = engine
         self.clock = clock
 
-    def create(self, definition: Destination) -> DestinationRow:
-        """raises: NameTakenError"""
-        row = DestinationRow(uuid.uuid4().hex, 1, self.clock(), definition)
+    def create(self, definition: Destination, identifier: str = "") -> DestinationRow:
+        """identifier: a new one where empty. raises: NameTakenError"""
+        row = DestinationRow(identifier or uuid.uuid4().hex, 1, self.clock(), definition)
         values = {"id": row.id, "revision": 1, "created": row.created, **_stored(definition)}
         try:
             with self.engine.begin() as connection:
                 connection.execute(destinations.insert().values(values))
         except IntegrityError:
+            if self.made_before(row.id):
+                raise  # not the name, but this very destination
             raise NameTakenError(definition.name) from None
         return row
+
+    def made_before(self, identifier: str) -> DestinationRow | None:
+        """For a client whose answer was lost; None where ``create`` did not get so far."""
+        try:
+            return self.get(identifier)
+        except NotFoundError:
+            return None
 
     def get(self, identifier: str) -> DestinationRow:
         """By identifier. raises: NotFoundError"""
