@@ -101,6 +101,8 @@ def test_a_case_succeeds_and_the_process_stays_warm(slot, jobs):
         ("refuse", "simulation", "solver-failed", "did not converge"),
         ("mistake", "system", "internal-error", "KeyError"),
         ("memory", "system", "out-of-memory", "TOMOSIM_MEMORY_LIMIT_BYTES"),
+        ("cpp", "system", "out-of-memory", "TOMOSIM_MEMORY_LIMIT_BYTES"),
+        ("rust", "system", "out-of-memory", "larger voxels"),
         ("exit", "system", "compute-crashed", "exit code 3"),
     ],
 )
@@ -149,6 +151,19 @@ def test_a_killed_compute_process_costs_an_attempt_not_the_case(slot, jobs):
     assert "SIGKILL" in jobs.events_after(identifier, 0)[-1].data["reason"]["message"]
     slot.run(identifier)
     assert (jobs.get(identifier).state, jobs.get(identifier).attempt) == ("succeeded", 2)
+
+
+def test_killed_by_the_kernel_for_want_of_memory_is_not_tried_again(slot, jobs, monkeypatch):
+    kills = iter([3, 4])
+    monkeypatch.setattr("worker.memory.kernel_kills", lambda: next(kills))
+    identifier = queue(jobs, "slow")
+    thread = run_in_thread(slot, identifier)
+    running(jobs, identifier)
+    os.kill(slot.warm_up().pid, signal.SIGKILL)
+    thread.join(PATIENCE_SECONDS)
+    row = jobs.get(identifier)
+    assert (row.state, row.attempt, row.error["code"]) == ("failed", 1, "out-of-memory")
+    assert "container" in row.error["message"]
 
 
 def test_a_cancelled_case_is_not_tried_again_after_a_crash(slot, jobs, monkeypatch):
@@ -307,6 +322,7 @@ def test_log_lines_of_the_compute_process_name_their_case(slot, jobs, capfd):
     second = jobs.create({"name": "fine"}, {"seconds": 1.0}, submitter=Submitter("local", "request-2")).id
     slot.run(first)
     slot.run(second)
+    slot.kill()  # all it has written has come through
     lines = [json.loads(line) for line in capfd.readouterr().err.splitlines() if line.startswith('{"time"')]
     [failed] = [line for line in lines if line["message"] == "case failed"]
     assert (failed["simulation"], failed["request"], failed["attempt"]) == (first, "request-1", 1)
