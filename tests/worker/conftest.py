@@ -1,6 +1,7 @@
 """What tests of the service start with: settings on a fresh folder, a database, the fake pipeline."""
 
 import os
+import shutil
 import socket
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -8,7 +9,7 @@ from pathlib import Path
 import pytest
 import sqlalchemy as sa
 
-from worker.database import connect, create_tables
+from worker.database import connect
 from worker.jobs import Jobs
 from worker.settings import Settings
 
@@ -31,13 +32,13 @@ def clock() -> Clock:
 
 
 @pytest.fixture(params=["sqlite", pytest.param("postgresql", marks=pytest.mark.needs_postgresql)])
-def engine(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[sa.Engine]:
+def engine(request: pytest.FixtureRequest, tmp_path: Path, sqlite_template: Path) -> Iterator[sa.Engine]:
+    """A database with all tables and no row."""
     if request.param == "sqlite":
+        shutil.copyfile(sqlite_template, tmp_path / "tomosim.db")
         made = connect(f"sqlite:///{tmp_path / 'tomosim.db'}")
     else:
-        made = connect(request.getfixturevalue("postgres_url"))
-        request.getfixturevalue("empty_postgres")()
-    create_tables(made)
+        made = connect(request.getfixturevalue("empty_service_database"))
     yield made
     made.dispose()
 

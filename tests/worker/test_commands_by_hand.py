@@ -59,7 +59,8 @@ def broker_program(request):
 
 
 @pytest.mark.needs_postgresql
-def test_separate_processes(start, make_settings, postgres_url, broker_program, free_port, tmp_path):
+def test_separate_processes(start, make_settings, postgres_url, empty_postgres, broker_program, free_port, tmp_path):
+    empty_postgres()
     broker_port = free_port + 1 if free_port < 65000 else free_port - 1
     command = [broker_program, "--port", str(broker_port), "--bind", "127.0.0.1", "--dir", str(tmp_path)]
     start([*command, "--save", ""])

@@ -21,11 +21,11 @@ from pydicom.uid import (
     ExplicitVRLittleEndian,
 )
 
-from simcore.core.store import Store
 from worker.database import connect, create_tables
 from worker.deliveries import Deliveries, Item, Request
 from worker.delivery.sender import Sender
 from worker.destinations import Destination, Destinations
+from worker.storage import open_store
 
 MG = str(DigitalMammographyXRayImageStorageForProcessing)
 TOMO = str(BreastTomosynthesisImageStorage)
@@ -87,7 +87,7 @@ class Room:
         create_tables(self.engine)
         self.deliveries = Deliveries(self.engine, settings.lease_seconds)
         self.destinations = Destinations(self.engine)
-        self.store = Store(settings.store_folder)
+        self.store = open_store(settings)
         self.stopping = threading.Event()
         self.sender = Sender("test", settings, self.deliveries, self.store, self.stopping)
         self.pixels = {}
