@@ -10,6 +10,7 @@ from fastapi import APIRouter, Depends, Query, Request, Response
 from api import pages
 from api.auth import Write
 from api.bodies import body_of, posted
+from api.conditions import CHANGED, UNCHANGED, IfMatch, IfNoneMatch, document, require_match
 from api.deps import Identifier, Served, services
 from api.errors import ApiError
 from api.idempotency import IdempotentRoute, Making
@@ -82,15 +83,16 @@ def list_webhooks(caller: Write, served: Served) -> WebhookList:
     return WebhookList(items=[webhook_resource(row) for row in served.webhooks.all()])
 
 
-@router.get("/{identifier}")
-def get_webhook(caller: Write, identifier: Identifier, served: Served) -> WebhookResource:
+@router.get("/{identifier}", response_model=WebhookResource, responses=UNCHANGED)
+def get_webhook(caller: Write, identifier: Identifier, served: Served, if_none_match: IfNoneMatch = None) -> Response:
     """One webhook."""
-    return webhook_resource(served.webhooks.get(identifier))
+    return document(webhook_resource(served.webhooks.get(identifier)), if_none_match)
 
 
-@router.delete("/{identifier}", status_code=204)
-def delete(caller: Write, identifier: Identifier, served: Served) -> None:
+@router.delete("/{identifier}", status_code=204, responses=CHANGED)
+def delete(caller: Write, identifier: Identifier, served: Served, if_match: IfMatch = None) -> None:
     """Forgets a webhook and what was still to be told."""
+    require_match(if_match, document(webhook_resource(served.webhooks.get(identifier))).headers["ETag"])
     served.webhooks.delete(identifier)
 
 

@@ -113,16 +113,22 @@ class Destinations:
             raise NameTakenError(definition.name) from None
         return row if changed else None
 
-    def delete(self, identifier: str) -> None:
-        """Deliveries that have ended stay on record. raises: NotFoundError, InUseError"""
+    def delete(self, identifier: str, revision: int | None = None) -> bool:
+        """Deliveries that have ended stay on record. raises: NotFoundError, InUseError
+
+        revision: only where it still has this one; False where another change came first.
+        """
         from worker.deliveries import unfinished
 
         with self.engine.begin() as connection:
             lock(connection, identifier)
             if count := unfinished(connection, identifier):
                 raise InUseError(count)
-            if not connection.execute(destinations.delete().where(destinations.c.id == identifier)).rowcount:
-                raise NotFoundError(identifier, "destination")
+            unchanged = [] if revision is None else [destinations.c.revision == revision]
+            if connection.execute(destinations.delete().where(destinations.c.id == identifier, *unchanged)).rowcount:
+                return True
+            find(connection, identifier)
+            return False
 
 
 def find(connection: sa.Connection, name: str) -> DestinationRow:
