@@ -9,7 +9,6 @@ import os
 import shutil
 import signal
 import subprocess
-import sys
 import tempfile
 import threading
 import time
@@ -312,7 +311,7 @@ def s3_bucket(s3_endpoint: str) -> str:
     return "stages"
 
 
-@pytest.fixture
+@pytest.fixture(scope="session")
 def make_location(s3_endpoint: str, s3_bucket: str) -> Callable[[], Location]:
     """Where a store lies that is empty."""
 
@@ -320,25 +319,3 @@ def make_location(s3_endpoint: str, s3_bucket: str) -> Callable[[], Location]:
         return Location(f"s3://{s3_bucket}/some/{uuid.uuid4().hex[:12]}", s3_endpoint, **S3_KEYS)
 
     return make
-
-
-def pytest_sessionfinish(session: pytest.Session, exitstatus: int) -> None:
-    session.config.stash[_STATUS] = int(exitstatus)
-
-
-@pytest.hookimpl(trylast=True)
-def pytest_unconfigure(config: pytest.Config) -> None:
-    """A thread or a library's clean-up that a test left behind must not keep the finished run from ending."""
-    status = config.stash.get(_STATUS, None)
-    if status is None:
-        return
-    left = [t.name for t in threading.enumerate() if t is not threading.main_thread() and not t.daemon]
-    if left:
-        config.get_terminal_writer().line(f"threads left behind: {', '.join(left)}")
-    config.get_terminal_writer().flush()
-    sys.stdout.flush()
-    sys.stderr.flush()
-    os._exit(status)
-
-
-_STATUS = pytest.StashKey[int]()
