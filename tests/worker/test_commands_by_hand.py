@@ -79,6 +79,9 @@ def test_separate_processes(start, make_settings, postgres_url, empty_postgres, 
     wait_for(lambda: httpx.get(case).json()["state"] == "succeeded", "the end of the case")
     assert len(httpx.get(f"{case}/artifacts").json()["items"]) == 3
 
+    if broker_program == str(broker.find_server()):
+        return  # what follows is between workers and the database, and takes as long again
+
     # A worker that is stopped says so, and gives its case to the next one.
     slow = url + httpx.post(f"{url}/v1/simulations", json={"name": "slow"}).json()["links"]["self"]
     wait_for(lambda: httpx.get(slow).json()["progress"]["message"].startswith("step"), "the computation")
