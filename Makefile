@@ -50,8 +50,13 @@ format: install-dev
 	$(BIN)/ruff check --fix .
 	$(BIN)/ruff format .
 
+# What of the production set has no time to wait for make validate: rows, keys, stages and files of whole studies.
+PRODUCTION_IN_SHORT := $(addprefix tests/,api/test_api_studies.py api/test_api_idempotency.py api/test_api_retention.py \
+	worker/test_supervisor.py)
+
 test: lint
 	$(BIN)/python -m pytest $(PYTEST_ARGS)
+	$(if $(PYTEST_ARGS),,$(BIN)/python -m pytest --production $(PRODUCTION_IN_SHORT))
 
 # The same tests of the service on PostgreSQL, redis-server and S3: all that can tell the difference (tests/conftest.py).
 test-production: install-dev
