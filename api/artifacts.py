@@ -31,6 +31,7 @@ _FILE_RESPONSES: dict[int | str, Json] = {
     206: {"description": "the range that was asked for", "content": dict.fromkeys(files.ALL_MEDIA_TYPES, _BINARY)},
     304: {"description": "not changed"},
     410: {"description": "expired: not in the store any more"},
+    412: {"description": "changed-meanwhile: If-Match names another tag"},
     416: {"description": "range-not-satisfiable"},
 }
 

@@ -5,13 +5,16 @@ from __future__ import annotations
 import json
 from typing import Annotated, Any
 
-from fastapi import APIRouter, Depends, Header, Request, Response
+from fastapi import APIRouter, Depends, Request, Response
+from fastapi.responses import JSONResponse
 
 from api.auth import Administer, Deliver
 from api.bodies import body_of, parsed, posted
+from api.conditions import CHANGED, UNCHANGED, IfMatch, IfNoneMatch, none_match, require_match
 from api.delivery_resources import DestinationList, DestinationName, DestinationResource, EchoResource
 from api.deps import Served, Services, identifier_of, read_body, services
 from api.errors import ApiError
+from api.idempotency import IdempotentRoute, Making
 from api.resources import PREFIX, when
 from worker.delivery.addresses import DestinationNotAllowed, require_allowed
 from worker.destinations import Destination, DestinationRow, InUseError, NameTakenError
@@ -19,7 +22,7 @@ from worker.leases import NotFoundError
 
 MERGE_PATCH = "application/merge-patch+json"
 
-router = APIRouter(prefix="/destinations", tags=["deliveries"])
+router = APIRouter(prefix="/destinations", tags=["deliveries"], route_class=IdempotentRoute)
 
 
 Identifier = Annotated[str, Depends(identifier_of("destination"))]
@@ -50,14 +53,17 @@ def create(
     caller: Administer,
     new: Annotated[Destination, Depends(_new)],
     served: Served,
+    making: Making,
     request: Request,
     response: Response,
 ) -> DestinationResource:
     """Makes a destination. Nothing is sent to it; ``echo`` tests it."""
-    try:
-        row = served.destinations.create(new)
-    except NameTakenError as error:
-        raise _name_taken(error) from None
+    row = served.destinations.made_before(making.identifier) if making.again else None
+    if row is None:
+        try:
+            row = served.destinations.create(new, making.identifier)
+        except NameTakenError as error:
+            raise _name_taken(error) from None
     response.headers["Location"] = str(request.base_url).rstrip("/") + destination_path(row.id)
     return destination_resource(row)
 
@@ -71,14 +77,16 @@ def list_destinations(caller: Deliver, served: Served) -> DestinationList:
     return DestinationList(items=[DestinationName(id=row.id, name=row.definition.name) for row in rows])
 
 
-@router.get("/{identifier}")
+@router.get("/{identifier}", response_model=DestinationResource, responses=UNCHANGED)
 def get_destination(
-    caller: Administer, identifier: Identifier, served: Served, response: Response
-) -> DestinationResource:
-    """One destination."""
+    caller: Administer, identifier: Identifier, served: Served, if_none_match: IfNoneMatch = None
+) -> Response:
+    """One destination. Its entity tag is its revision."""
     row = served.destinations.get(identifier)
-    response.headers["ETag"] = f'"{row.revision}"'
-    return destination_resource(row)
+    headers = {"ETag": _tag(row), "Cache-Control": "no-cache"}
+    if none_match(if_none_match, str(row.revision)):
+        return Response(status_code=304, headers=headers)
+    return JSONResponse(destination_resource(row).model_dump(mode="json"), headers=headers)
 
 
 @router.patch(
@@ -86,7 +94,7 @@ def get_destination(
     openapi_extra={"requestBody": {"required": True, "content": {MERGE_PATCH: {"schema": {"type": "object"}}}}},
     responses={
         409: {"description": "name-taken, or changed meanwhile"},
-        412: {"description": "not the revision named"},
+        **CHANGED,
     },
 )
 def change(
@@ -95,12 +103,11 @@ def change(
     changes: Annotated[dict[str, Any], Depends(_changes)],
     served: Served,
     response: Response,
-    if_match: Annotated[str | None, Header()] = None,
+    if_match: IfMatch = None,
 ) -> DestinationResource:
     """Changes fields (RFC 7396: null gives a field back its default). Deliveries under way keep the old ones."""
     row = served.destinations.get(identifier)
-    if if_match is not None and if_match.strip() not in ("*", f'"{row.revision}"'):
-        raise ApiError(412, "changed-meanwhile", f"If-Match = {if_match[:80]}: the revision is {row.revision} now")
+    require_match(if_match, _tag(row))
     merged = _merge(row.definition.model_dump(mode="json"), changes)
     definition = parsed(json.dumps(merged).encode(), Destination)
     _check_host(definition, served)
@@ -110,18 +117,22 @@ def change(
         raise _name_taken(error) from None
     if changed is None:
         raise ApiError(409, "changed-meanwhile", "another change came first: read the destination again")
-    response.headers["ETag"] = f'"{changed.revision}"'
+    response.headers["ETag"] = _tag(changed)
     return destination_resource(changed)
 
 
-@router.delete("/{identifier}", status_code=204)
-def delete(caller: Administer, identifier: Identifier, served: Served) -> None:
+@router.delete("/{identifier}", status_code=204, responses=CHANGED)
+def delete(caller: Administer, identifier: Identifier, served: Served, if_match: IfMatch = None) -> None:
     """Forgets a destination; deliveries that have ended stay on record."""
+    row = served.destinations.get(identifier)
+    require_match(if_match, _tag(row))
     try:
-        served.destinations.delete(identifier)
+        done = served.destinations.delete(identifier, None if if_match is None else row.revision)
     except InUseError as error:
         detail = f"{error.count} deliveries to it have not ended: cancel them, or wait for their end"
         raise ApiError(409, "destination-in-use", detail) from None
+    if not done:
+        require_match(if_match, _tag(served.destinations.get(identifier)))
 
 
 @router.post("/{identifier}/echo")
@@ -145,6 +156,10 @@ def find_destination(served: Services, name: str, pointer: str) -> DestinationRo
         detail = f"there is no destination {name[:100]!r}; there are: {known}"
         item = {"pointer": pointer, "value": name[:100], "detail": detail}
         raise ApiError(422, "invalid-request", f"{pointer}: {detail}", errors=[item]) from None
+
+
+def _tag(row: DestinationRow) -> str:
+    return f'"{row.revision}"'
 
 
 def destination_path(identifier: str) -> str:

@@ -11,7 +11,7 @@ from urllib.parse import quote
 from fastapi import Request, Response
 from fastapi.responses import StreamingResponse
 
-from api.conditions import none_match
+from api.conditions import none_match, require_match
 from api.errors import ApiError
 from simcore.core.store import FileRef, Store
 
@@ -79,7 +79,7 @@ def byte_range(header: str | None, size: int) -> tuple[int, int] | None:
 def file_response(request: Request, store: Store, ref: FileRef, name: str) -> Response:
     """The answer to GET of a stored file.
 
-    raises: ApiError 410 where it is not in the store any more, 416
+    raises: ApiError 410 where it is not in the store any more, 412, 416
     """
     kind = media_type(name)
     headers = {
@@ -88,6 +88,7 @@ def file_response(request: Request, store: Store, ref: FileRef, name: str) -> Re
         "Accept-Ranges": "bytes",
         "Cache-Control": "private, max-age=31536000, immutable",
     }
+    require_match(request.headers.get("if-match"), headers["ETag"])
     if none_match(request.headers.get("if-none-match"), ref.sha256):
         return Response(status_code=304, headers=headers)
     if not store.has(ref):

@@ -5,12 +5,13 @@ from __future__ import annotations
 import logging
 from typing import Annotated, Any
 
-from fastapi import APIRouter, Header, Query, Request, Response
+from fastapi import APIRouter, Query, Request, Response
+from fastapi.responses import JSONResponse
 
 from api import pages
 from api.auth import Read, Submitting, Write
 from api.automatic import BODY_WITH_DELIVER, WantedDeliveries, require_deliver
-from api.conditions import none_match
+from api.conditions import CHANGED, UNCHANGED, IfMatch, IfNoneMatch, document, none_match, require_match
 from api.deps import Identifier, PostedSpecification, Served, Services
 from api.errors import ApiError
 from api.idempotency import IdempotentRoute, Making
@@ -105,24 +106,10 @@ def list_simulations(
     return SimulationPage(items=[simulation_resource(row) for row in rows[:limit]], next=following)
 
 
-@router.get("/{identifier}", responses={304: {"description": "not changed"}})
-def get_simulation(
-    caller: Read,
-    identifier: Identifier,
-    served: Served,
-    response: Response,
-    if_none_match: Annotated[str | None, Header()] = None,
-) -> Any:
-    """One case. Its entity tag changes with its revision."""
-    row = served.jobs.get(identifier)
-    tag = f"{row.revision}{'-pinned' * row.pinned}{f'-{row.expires_at:.0f}' if row.expires_at else ''}"
-    headers = {"ETag": f'W/"{tag}"', "Cache-Control": "no-cache"}
-    if not row.is_final:
-        headers |= RETRY_AFTER
-    if none_match(if_none_match, tag):
-        return Response(status_code=304, headers=headers)
-    response.headers.update(headers)
-    return simulation_resource(row, served.jobs.specification(identifier))
+@router.get("/{identifier}", response_model=SimulationResource, responses=UNCHANGED)
+def get_simulation(caller: Read, identifier: Identifier, served: Served, if_none_match: IfNoneMatch = None) -> Response:
+    """One case. Its entity tag is weak while it runs, and changes with its revision."""
+    return _answer(served, served.jobs.get(identifier), if_none_match)
 
 
 @router.post("/{identifier}/cancel", status_code=202)
@@ -156,17 +143,31 @@ def retry(
     return simulation_resource(row)
 
 
-@router.delete("/{identifier}", status_code=204)
-def delete(caller: Write, identifier: Identifier, served: Served) -> None:
+@router.delete("/{identifier}", status_code=204, responses=CHANGED)
+def delete(caller: Write, identifier: Identifier, served: Served, if_match: IfMatch = None) -> None:
     """Forgets a finished case. Stored stages stay: other cases may use them."""
-    if (study := served.jobs.get(identifier).study_id) is not None:
-        raise ApiError(409, "part-of-study", f"the simulation is a case of the study {study}: delete the study")
+    row = served.jobs.get(identifier)
+    if row.study_id is not None:
+        raise ApiError(409, "part-of-study", f"the simulation is a case of the study {row.study_id}: delete the study")
+    if if_match is not None:
+        require_match(if_match, _answer(served, row).headers["ETag"])
     try:
         served.jobs.delete(identifier)
     except StateError as error:
         raise ApiError(
             409, "not-finished", f"the simulation is {error.state}: cancel it first, or wait for its end"
         ) from None
+
+
+def _answer(served: Services, row: Simulation, if_none_match: str | None = None) -> Response:
+    content = simulation_resource(row, served.jobs.specification(row.id))
+    if row.is_final:
+        return document(content, if_none_match)
+    # The seconds that are left change by themselves, and are no reason to send it again.
+    headers = {"ETag": f'W/"{row.revision}{"-pinned" * row.pinned}"', "Cache-Control": "no-cache", **RETRY_AFTER}
+    if none_match(if_none_match, headers["ETag"].removeprefix("W/").strip('"')):
+        return Response(status_code=304, headers=headers)
+    return JSONResponse(content.model_dump(mode="json"), headers=headers)
 
 
 def chosen_queue(served: Services, priority: Priority, device: Device) -> Queue:

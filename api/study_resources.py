@@ -63,6 +63,8 @@ class CaseResource(BaseModel):
     finished_at: datetime | None
     results: dict[str, Any] | None
     error: FailureResource | None
+    expires_at: datetime | None = Field(description="its files are kept until then, or as long as it is pinned")
+    expired: bool = Field(description="its files were kept until a time that has passed, and are not given out")
     href: str
 
 

@@ -10,8 +10,10 @@ from fastapi import APIRouter, Depends, Query, Request, Response
 from api import pages
 from api.auth import Write
 from api.bodies import body_of, posted
+from api.conditions import CHANGED, UNCHANGED, IfMatch, IfNoneMatch, document, require_match
 from api.deps import Identifier, Served, services
 from api.errors import ApiError
+from api.idempotency import IdempotentRoute, Making
 from api.webhook_resources import (
     CreatedWebhook,
     MessagePage,
@@ -28,7 +30,7 @@ from worker.leases import NotFoundError, StateError
 
 MAX_WEBHOOKS = 100
 
-router = APIRouter(prefix="/webhooks", tags=["webhooks"])
+router = APIRouter(prefix="/webhooks", tags=["webhooks"], route_class=IdempotentRoute)
 
 
 async def _new_webhook(request: Request) -> NewWebhook:
@@ -59,13 +61,18 @@ def create(
     caller: Write,
     new: Annotated[NewWebhook, Depends(_new_webhook)],
     served: Served,
+    making: Making,
     request: Request,
     response: Response,
 ) -> CreatedWebhook:
     """Makes a webhook. Its messages are signed as Standard Webhooks says, with the secret that is shown only now."""
-    if len(served.webhooks.all()) >= MAX_WEBHOOKS:
-        raise ApiError(409, "too-many-webhooks", f"there are {MAX_WEBHOOKS} webhooks: delete one first")
-    row, secret = served.webhooks.create(new.url, new.events, new.description.replace("\0", ""))
+    made = served.webhooks.made_before(making.identifier) if making.again else None
+    if made is None:
+        if len(served.webhooks.all()) >= MAX_WEBHOOKS:
+            raise ApiError(409, "too-many-webhooks", f"there are {MAX_WEBHOOKS} webhooks: delete one first")
+        description = new.description.replace("\0", "")
+        made = served.webhooks.create(new.url, new.events, description, making.identifier)
+    row, secret = made
     response.headers["Location"] = str(request.base_url).rstrip("/") + webhook_path(row.id)
     return CreatedWebhook(**webhook_resource(row).model_dump(), secret=secret)
 
@@ -76,22 +83,23 @@ def list_webhooks(caller: Write, served: Served) -> WebhookList:
     return WebhookList(items=[webhook_resource(row) for row in served.webhooks.all()])
 
 
-@router.get("/{identifier}")
-def get_webhook(caller: Write, identifier: Identifier, served: Served) -> WebhookResource:
+@router.get("/{identifier}", response_model=WebhookResource, responses=UNCHANGED)
+def get_webhook(caller: Write, identifier: Identifier, served: Served, if_none_match: IfNoneMatch = None) -> Response:
     """One webhook."""
-    return webhook_resource(served.webhooks.get(identifier))
+    return document(webhook_resource(served.webhooks.get(identifier)), if_none_match)
 
 
-@router.delete("/{identifier}", status_code=204)
-def delete(caller: Write, identifier: Identifier, served: Served) -> None:
+@router.delete("/{identifier}", status_code=204, responses=CHANGED)
+def delete(caller: Write, identifier: Identifier, served: Served, if_match: IfMatch = None) -> None:
     """Forgets a webhook and what was still to be told."""
+    require_match(if_match, document(webhook_resource(served.webhooks.get(identifier))).headers["ETag"])
     served.webhooks.delete(identifier)
 
 
 @router.post("/{identifier}/test", status_code=202)
-def test(caller: Write, identifier: Identifier, served: Served) -> MessageResource:
+def test(caller: Write, identifier: Identifier, served: Served, making: Making) -> MessageResource:
     """Sends a message of the event ``webhook.test``; its document says whether it arrived."""
-    return message_resource(served.webhooks.test(identifier), [])
+    return message_resource(served.webhooks.test(identifier, making.identifier), [])
 
 
 @router.post("/{identifier}/enable")

@@ -20,13 +20,16 @@ import time
 import urllib.request
 from collections.abc import Iterator
 from contextlib import contextmanager
+from dataclasses import dataclass
 from pathlib import Path
 from types import ModuleType
 from typing import Any
 
+import httpx
 import uvicorn
 
 from api.app import create_app
+from bench._schemathesis_resources import Values, configuration, make, make_dicom_cases
 from simcore.core.errors import SimulationError
 from simcore.spec import SimulationSpec
 from worker.settings import Settings
@@ -50,7 +53,7 @@ class MemoryBroker:
 
 
 class Finisher(threading.Thread):
-    """A worker in a thread: runs every queued case with the fake pipeline."""
+    """A worker in a thread: runs every queued case with the fake pipeline, and lets every delivery fail."""
 
     def __init__(self, app: Any) -> None:
         super().__init__(name="finisher", daemon=True)
@@ -72,11 +75,23 @@ class Finisher(threading.Thread):
                     served.jobs.succeed(job.id, "finisher", result.manifest)
                 except SimulationError as error:
                     served.jobs.fail(job.id, "finisher", error.to_dict())
+            for delivery in served.deliveries.unsent() + served.deliveries.sent_before(time.time() + 1):
+                if served.deliveries.claim(delivery.id, "finisher") is not None:
+                    error = {"kind": "system", "code": "no-answer", "message": "nothing listens there"}
+                    served.deliveries.fail(delivery.id, "finisher", error)
+
+
+@dataclass(frozen=True)
+class Target:
+    """A running service. values: of parameters of paths, by dictionary: what there is to ask for."""
+
+    url: str
+    values: Values
 
 
 @contextmanager
-def service() -> Iterator[str]:
-    """The URL of a running service."""
+def service() -> Iterator[Target]:
+    """A running service that holds a few of everything."""
     with tempfile.TemporaryDirectory() as folder, socket.socket() as listening:
         listening.bind(("127.0.0.1", 0))
         url = f"http://127.0.0.1:{listening.getsockname()[1]}"
@@ -96,25 +111,31 @@ def service() -> Iterator[str]:
         thread.start()
         _wait_until_it_answers(f"{url}/livez")
         finisher = Finisher(app)
-        finisher.start()
         try:
-            yield url
+            with httpx.Client(base_url=url, headers={"Authorization": f"Bearer {SECRET}"}, timeout=60) as http:
+                dicom_cases = make_dicom_cases(http, app.state.services, Path(folder))
+                finisher.start()
+                values = make(http, dicom_cases)
+            yield Target(url, values)
         finally:
             finisher.stopping.set()
-            finisher.join(10)
+            if finisher.is_alive():
+                finisher.join(10)
             server.should_exit = True
             thread.join(20)
 
 
-def run(url: str, arguments: list[str]) -> tuple[int, str]:
+def run(target: Target, arguments: list[str]) -> tuple[int, str]:
     """Exit code and output of Schemathesis against a service."""
-    command = [
-        *(sys.executable, "-m", "schemathesis.cli", "--config-file", str(CONFIGURATION)),
-        *("run", f"{url}/openapi.json", "--header", f"Authorization: Bearer {SECRET}", "--no-color"),
-        *arguments,
-    ]
     # It keeps examples that failed in the folder where it runs.
     with tempfile.TemporaryDirectory() as folder:
+        chosen = Path(folder) / "schemathesis.toml"
+        chosen.write_text(f"{CONFIGURATION.read_text()}\n{configuration(target.values)}")
+        command = [
+            *(sys.executable, "-m", "schemathesis.cli", "--config-file", str(chosen)),
+            *("run", f"{target.url}/openapi.json", "--header", f"Authorization: Bearer {SECRET}", "--no-color"),
+            *arguments,
+        ]
         done = subprocess.run(command, cwd=folder, capture_output=True, text=True, env={**os.environ, "COLUMNS": "160"})
     return done.returncode, done.stdout + done.stderr
 
@@ -150,8 +171,10 @@ def main() -> int:
     args = parser.parse_args()
     logging.disable(logging.CRITICAL)
     more = [f"--include-path={path}" for path in args.include_path]
-    with service() as url:
-        code, output = run(url, [f"--max-time={args.seconds}", f"--seed={args.seed}", "--continue-on-failure", *more])
+    with service() as target:
+        code, output = run(
+            target, [f"--max-time={args.seconds}", f"--seed={args.seed}", "--continue-on-failure", *more]
+        )
     print(output)
     print(json.dumps({"seed": args.seed, "exit_code": code}))
     return code

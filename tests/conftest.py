@@ -4,11 +4,11 @@ Tests of the service run on SQLite, a folder and the embedded broker; with ``--p
 difference run again on PostgreSQL, S3 and redis-server.
 """
 
+import functools
 import os
 import shutil
 import signal
 import subprocess
-import sys
 import tempfile
 import threading
 import time
@@ -20,6 +20,7 @@ import pytest
 import sqlalchemy as sa
 
 from simcore.core.bucket import Location
+from simcore.core.store import Store
 from worker.database import connect, create_tables
 from worker.tables import metadata
 
@@ -31,9 +32,51 @@ def pytest_addoption(parser: pytest.Parser) -> None:
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
     if not config.getoption("--production"):
         return
-    chosen = [i for i in items if "backend" in i.fixturenames and not i.get_closest_marker("embedded")]
+    chosen = [i for i in items if _tells_services_apart(i)]
     config.hook.pytest_deselected(items=[i for i in items if i not in chosen])
     items[:] = chosen
+
+
+def _tells_services_apart(item: pytest.Item) -> bool:
+    if item.get_closest_marker("embedded"):
+        return False
+    if isinstance(item, pytest.Function) and hasattr(item, "callspec") and "engine" in item.callspec.params:
+        return bool(item.callspec.params["engine"] == "postgresql")  # repositories choose their database themselves
+    return not {"backend", "module_backend"}.isdisjoint(getattr(item, "fixturenames", ()))
+
+
+@pytest.fixture(scope="session")
+def lose() -> Callable[[Store, str], None]:
+    """Takes a file out of a store, with the copy that a machine has of what lies in a bucket."""
+
+    def remove(store: Store, sha256: str) -> None:
+        assert store.remove_object(sha256, unused_since=time.time() + 3600)
+        (store.root / "objects" / sha256[:2] / sha256).unlink(missing_ok=True)
+
+    return remove
+
+
+@pytest.fixture(scope="session")
+def sqlite_template(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A database file with all tables: a copy of it spares a test the migrations."""
+    path = tmp_path_factory.mktemp("template") / "tomosim.db"
+    engine = connect(f"sqlite:///{path}")
+    create_tables(engine)
+    engine.dispose()  # the last connection empties the write-ahead log into the file
+    return path
+
+
+@pytest.fixture(scope="session", autouse=True)
+def one_boto3_session(request: pytest.FixtureRequest) -> Iterator[None]:
+    """boto3 reads its descriptions of services once for a session, 0.3 s; every store opens one of its own."""
+    if not request.config.getoption("--production"):
+        yield
+        return
+    import boto3
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(boto3, "Session", functools.cache(boto3.Session))
+        yield
 
 
 @pytest.fixture
@@ -41,10 +84,25 @@ def backend(request: pytest.FixtureRequest) -> dict[str, object]:
     """Settings of database, store and broker for one test: none, or with ``--production`` fresh ones."""
     if not request.config.getoption("--production"):
         return {}
-    location = request.getfixturevalue("make_location")()
+    database = request.getfixturevalue("empty_service_database")
+    return _settings(database, request.getfixturevalue("redis_url"), request.getfixturevalue("make_location")())
+
+
+@pytest.fixture(scope="module")
+def module_backend(request: pytest.FixtureRequest) -> dict[str, object]:
+    """The same for a service that all tests of a module share."""
+    if not request.config.getoption("--production"):
+        return {}
+    url = request.getfixturevalue("make_database")()
+    broker = f"redis+socket://{request.getfixturevalue('redis_server')}?virtual_host={MODULE_REDIS}"
+    _empty_redis(broker)
+    return _settings(url, broker, request.getfixturevalue("make_location")())
+
+
+def _settings(database_url: str, broker_url: str, location: Location) -> dict[str, object]:
     return {
-        "database_url": request.getfixturevalue("empty_service_database"),
-        "broker_url": request.getfixturevalue("redis_url"),
+        "database_url": database_url,
+        "broker_url": broker_url,
         "store_url": location.url,
         "store_endpoint": location.endpoint,
         "store_access_key": location.access_key,
@@ -53,17 +111,28 @@ def backend(request: pytest.FixtureRequest) -> dict[str, object]:
 
 
 @pytest.fixture(scope="session")
-def service_database(postgres_url: str) -> str:
-    """A PostgreSQL database with all tables."""
-    engine = connect(postgres_url)
-    with engine.connect().execution_options(isolation_level="AUTOCOMMIT") as connection:
-        connection.execute(sa.text("CREATE DATABASE service"))
-    engine.dispose()
-    url = postgres_url.replace("/postgres?", "/service?")
-    engine = connect(url)
-    create_tables(engine)
-    engine.dispose()
-    return url
+def make_database(postgres_url: str) -> Callable[[], str]:
+    """Makes a PostgreSQL database with all tables: its URL."""
+
+    def make() -> str:
+        name = f"service_{uuid.uuid4().hex[:12]}"
+        engine = connect(postgres_url)
+        with engine.connect().execution_options(isolation_level="AUTOCOMMIT") as connection:
+            connection.execute(sa.text(f"CREATE DATABASE {name}"))
+        engine.dispose()
+        url = postgres_url.replace("/postgres?", f"/{name}?")
+        engine = connect(url)
+        create_tables(engine)
+        engine.dispose()
+        return url
+
+    return make
+
+
+@pytest.fixture(scope="session")
+def service_database(make_database: Callable[[], str]) -> str:
+    """The database of the tests that share nothing else."""
+    return make_database()
 
 
 @pytest.fixture
@@ -73,7 +142,7 @@ def empty_service_database(service_database: str) -> str:
     engine = connect(service_database)
     with engine.begin() as connection:
         connection.execute(sa.text(f"{others} AND pid != pg_backend_pid()"))
-        connection.execute(sa.text(f"TRUNCATE {', '.join(metadata.tables)} CASCADE"))
+        connection.execute(sa.text(f"TRUNCATE {', '.join(metadata.tables)} RESTART IDENTITY CASCADE"))
     engine.dispose()
     return service_database
 
@@ -104,11 +173,21 @@ def redis_server() -> Iterator[str]:
 @pytest.fixture
 def redis_url(redis_server: str) -> str:
     """An empty broker."""
+    url = f"redis+socket://{redis_server}?virtual_host=0"
+    _empty_redis(url)
+    return url
+
+
+MODULE_REDIS = 1
+"""Number of the redis database of services that a module shares."""
+
+
+def _empty_redis(url: str) -> None:
     import redis
 
-    with redis.Redis(unix_socket_path=redis_server) as client:
-        client.flushall()
-    return f"redis+socket://{redis_server}?virtual_host=0"
+    socket, _, number = url.removeprefix("redis+socket://").partition("?virtual_host=")
+    with redis.Redis(unix_socket_path=socket, db=int(number)) as client:
+        client.flushdb()
 
 
 S3_KEYS = {"access_key": "test-key", "secret_key": "test-secret"}
@@ -232,7 +311,7 @@ def s3_bucket(s3_endpoint: str) -> str:
     return "stages"
 
 
-@pytest.fixture
+@pytest.fixture(scope="session")
 def make_location(s3_endpoint: str, s3_bucket: str) -> Callable[[], Location]:
     """Where a store lies that is empty."""
 
@@ -240,25 +319,3 @@ def make_location(s3_endpoint: str, s3_bucket: str) -> Callable[[], Location]:
         return Location(f"s3://{s3_bucket}/some/{uuid.uuid4().hex[:12]}", s3_endpoint, **S3_KEYS)
 
     return make
-
-
-def pytest_sessionfinish(session: pytest.Session, exitstatus: int) -> None:
-    session.config.stash[_STATUS] = int(exitstatus)
-
-
-@pytest.hookimpl(trylast=True)
-def pytest_unconfigure(config: pytest.Config) -> None:
-    """A thread or a library's clean-up that a test left behind must not keep the finished run from ending."""
-    status = config.stash.get(_STATUS, None)
-    if status is None:
-        return
-    left = [t.name for t in threading.enumerate() if t is not threading.main_thread() and not t.daemon]
-    if left:
-        config.get_terminal_writer().line(f"threads left behind: {', '.join(left)}")
-    config.get_terminal_writer().flush()
-    sys.stdout.flush()
-    sys.stderr.flush()
-    os._exit(status)
-
-
-_STATUS = pytest.StashKey[int]()

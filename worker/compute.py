@@ -27,7 +27,8 @@ from simcore.core.errors import SimulationError
 from simcore.core.store import Store
 from simcore.spec import SimulationSpec
 from worker import logs
-from worker.contract import INTERNAL_ERROR, OUT_OF_MEMORY
+from worker.contract import INTERNAL_ERROR
+from worker.memory import out_of_memory
 from worker.settings import Settings
 from worker.storage import open_store
 from worker.tether import die_with_parent
@@ -135,16 +136,6 @@ def _run_case(
     except Exception as error:
         log.exception("case failed")
         messages.send("failed", error=_unexpected(error))
-
-
-def out_of_memory(limit: int) -> Json:
-    """The error of a case that asked for more memory than it may use."""
-    return {
-        "kind": "system",
-        "code": OUT_OF_MEMORY,
-        "message": f"the case needed more than the {limit / 1e9:.1f} GB of memory it may use: take larger voxels, "
-        "fewer views or thicker slices, or raise TOMOSIM_MEMORY_LIMIT_BYTES",
-    }
 
 
 def _unexpected(error: Exception) -> Json:

@@ -12,8 +12,9 @@ import sys
 import time
 from typing import Any
 
-from worker import processes
+from worker import memory, processes
 from worker.contract import COMPUTE_CRASHED
+from worker.last_words import LastWords
 from worker.settings import Settings
 
 Json = dict[str, Any]
@@ -25,13 +26,13 @@ EXIT_SECONDS = 5.0
 class ComputeDiedError(Exception):
     """The process ended before it had told the outcome.
 
-    error: says how it ended. by_signal: it was killed or crashed, which may be chance.
+    error: says how it ended. may_be_chance: it was killed or crashed, and perhaps will not the next time.
     """
 
-    def __init__(self, code: int) -> None:
-        self.error = crash_error(code)
-        self.by_signal = code < 0
-        super().__init__(self.error["message"])
+    def __init__(self, error: Json, *, may_be_chance: bool) -> None:
+        self.error = error
+        self.may_be_chance = may_be_chance
+        super().__init__(error["message"])
 
 
 class ComputeProcess:
@@ -52,11 +53,16 @@ class ComputeProcess:
                 [sys.executable, "-m", "worker.compute", str(writer), str(os.getpid())],
                 env=env,
                 stdin=subprocess.PIPE,
+                stderr=subprocess.PIPE,
                 pass_fds=[writer],
                 start_new_session=True,
             )
         finally:
             os.close(writer)
+        assert self._process.stderr is not None
+        self._last_words = LastWords(self._process.stderr)
+        self._memory_limit = settings.memory_limit
+        self._kernel_kills = 0
         self._reader = reader
         self._buffer = b""
         self._closed = False
@@ -76,11 +82,13 @@ class ComputeProcess:
         raises: ComputeDiedError
         """
         assert self._process.stdin is not None
+        self._last_words.forget()
+        self._kernel_kills = memory.kernel_kills()
         try:
             self._process.stdin.write(json.dumps({"specification": specification, "log": log_fields}).encode() + b"\n")
             self._process.stdin.flush()
         except OSError:
-            raise ComputeDiedError(self._exit_code()) from None
+            raise self._died() from None
 
     def receive(self, timeout_seconds: float) -> Json | None:
         """The next message, or None where none came in time.
@@ -94,7 +102,7 @@ class ComputeProcess:
                 return None
             chunk = os.read(self._reader, 1 << 20)
             if not chunk:
-                raise ComputeDiedError(self._exit_code())
+                raise self._died()
             self._buffer += chunk
         line, _, self._buffer = self._buffer.partition(b"\n")
         message: Json = json.loads(line)
@@ -110,12 +118,16 @@ class ComputeProcess:
             assert self._process.stdin is not None
             with contextlib.suppress(OSError):
                 self._process.stdin.close()
+            self._last_words.read()
 
-    def _exit_code(self) -> int:
+    def _died(self) -> ComputeDiedError:
         try:
-            return self._process.wait(EXIT_SECONDS)
+            code = self._process.wait(EXIT_SECONDS)
         except subprocess.TimeoutExpired:
-            return 0
+            code = 0
+        killed = memory.kernel_kills() > self._kernel_kills
+        error = memory.explain(code, self._last_words.read(), self._memory_limit, killed)
+        return ComputeDiedError(error or crash_error(code), may_be_chance=error is None and code < 0)
 
 
 def crash_error(code: int) -> Json:

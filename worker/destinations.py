@@ -61,16 +61,25 @@ class Destinations:
         self.engine = engine
         self.clock = clock
 
-    def create(self, definition: Destination) -> DestinationRow:
-        """raises: NameTakenError"""
-        row = DestinationRow(uuid.uuid4().hex, 1, self.clock(), definition)
+    def create(self, definition: Destination, identifier: str = "") -> DestinationRow:
+        """identifier: a new one where empty. raises: NameTakenError"""
+        row = DestinationRow(identifier or uuid.uuid4().hex, 1, self.clock(), definition)
         values = {"id": row.id, "revision": 1, "created": row.created, **_stored(definition)}
         try:
             with self.engine.begin() as connection:
                 connection.execute(destinations.insert().values(values))
         except IntegrityError:
+            if self.made_before(row.id):
+                raise  # not the name, but this very destination
             raise NameTakenError(definition.name) from None
         return row
+
+    def made_before(self, identifier: str) -> DestinationRow | None:
+        """For a client whose answer was lost; None where ``create`` did not get so far."""
+        try:
+            return self.get(identifier)
+        except NotFoundError:
+            return None
 
     def get(self, identifier: str) -> DestinationRow:
         """By identifier. raises: NotFoundError"""
@@ -104,16 +113,22 @@ class Destinations:
             raise NameTakenError(definition.name) from None
         return row if changed else None
 
-    def delete(self, identifier: str) -> None:
-        """Deliveries that have ended stay on record. raises: NotFoundError, InUseError"""
+    def delete(self, identifier: str, revision: int | None = None) -> bool:
+        """Deliveries that have ended stay on record. raises: NotFoundError, InUseError
+
+        revision: only where it still has this one; False where another change came first.
+        """
         from worker.deliveries import unfinished
 
         with self.engine.begin() as connection:
             lock(connection, identifier)
             if count := unfinished(connection, identifier):
                 raise InUseError(count)
-            if not connection.execute(destinations.delete().where(destinations.c.id == identifier)).rowcount:
-                raise NotFoundError(identifier, "destination")
+            unchanged = [] if revision is None else [destinations.c.revision == revision]
+            if connection.execute(destinations.delete().where(destinations.c.id == identifier, *unchanged)).rowcount:
+                return True
+            find(connection, identifier)
+            return False
 
 
 def find(connection: sa.Connection, name: str) -> DestinationRow:

@@ -15,7 +15,7 @@ from worker.database import events, metadata, reading, simulations
 from worker.jobs import UNKNOWN, Jobs, Simulation
 from worker.leases import Json, NotFoundError
 from worker.quotas import Submitter
-from worker.retention import set_study_expiry
+from worker.retention import set_study_expiry, unexpired
 
 STUDY_QUEUE: Queue = "batch"
 
@@ -87,6 +87,11 @@ class Study:
 
 
 _COLUMNS = [studies.c[name] for name in ("id", "name", "columns", "estimate", "cases", "created")]
+
+
+def _with_files(identifier: str, now: float) -> tuple[sa.ColumnElement[bool], ...]:
+    c = simulations.c
+    return c.study_id == identifier, c.state == "succeeded", unexpired(now)
 
 
 class Studies:
@@ -181,11 +186,14 @@ class Studies:
         with reading(self.engine) as connection:
             return [Simulation(**row) for row in connection.execute(query).mappings()]
 
-    def manifests(self, identifier: str) -> Iterator[tuple[int, Json]]:
-        """(number, manifest) of every case that succeeded, one after the other."""
-        query = sa.select(simulations.c.study_number, simulations.c.manifest).where(
-            simulations.c.study_id == identifier, simulations.c.state == "succeeded"
-        )
+    def has_files(self, identifier: str, now: float) -> bool:
+        """Whether there is a case that succeeded and whose files have not expired by then."""
+        with reading(self.engine) as connection:
+            return bool(connection.scalar(sa.select(sa.exists().where(*_with_files(identifier, now)))))
+
+    def manifests(self, identifier: str, now: float) -> Iterator[tuple[int, Json]]:
+        """(number, manifest) of every case that succeeded and whose files have not expired by then."""
+        query = sa.select(simulations.c.study_number, simulations.c.manifest).where(*_with_files(identifier, now))
         after = 0
         while True:
             part = query.where(simulations.c.study_number > after).order_by(simulations.c.study_number).limit(50)

@@ -131,7 +131,7 @@ class Slot:
             error = died.error
             log.warning("compute process ended", extra={"error": error})
             self.kill()
-            if not died.by_signal:
+            if not died.may_be_chance:
                 return self._failure(job, owner, error)
             if job.attempt < self.settings.max_attempts:
                 return lambda: self.jobs.try_again(job.id, owner, error)

@@ -142,15 +142,20 @@ def announce(connection: sa.Connection, at: float, event: WebhookEvent, *data: C
     wanting = [row.id for row in found if event in row.events]
     if wanting:
         for make in data:
-            _record(connection, wanting, at, event, make())
+            _record(connection, {_message_id(uuid.uuid4().hex): one for one in wanting}, at, event, make())
 
 
-def _record(connection: sa.Connection, webhook_ids: Sequence[str], at: float, event: str, data: Json) -> list[str]:
+def _message_id(name: str) -> str:
+    return f"msg_{name}"
+
+
+def _record(connection: sa.Connection, receivers: dict[str, str], at: float, event: str, data: Json) -> None:
+    """receivers: identifiers of messages, and the webhook of each."""
     stamp = datetime.fromtimestamp(at, UTC).isoformat().replace("+00:00", "Z")
     body = json.dumps({"type": event, "timestamp": stamp, "data": data}, separators=(",", ":"), allow_nan=False)
     rows = [
         {
-            "id": f"msg_{uuid.uuid4().hex}",
+            "id": message_id,
             "webhook_id": webhook_id,
             "event": event,
             "body": body,
@@ -159,10 +164,9 @@ def _record(connection: sa.Connection, webhook_ids: Sequence[str], at: float, ev
             "attempts": 0,
             "next_attempt": at,
         }
-        for webhook_id in webhook_ids
+        for message_id, webhook_id in receivers.items()
     ]
     connection.execute(messages.insert(), rows)
-    return [str(row["id"]) for row in rows]
 
 
 class Webhooks:
@@ -177,13 +181,24 @@ class Webhooks:
 
     # What clients ask for
 
-    def create(self, url: str, events: Sequence[WebhookEvent], description: str = "") -> tuple[Webhook, str]:
-        """A new webhook and its secret ("whsec_..." as Standard Webhooks has it), which is told only now."""
+    def create(
+        self, url: str, events: Sequence[WebhookEvent], description: str = "", identifier: str = ""
+    ) -> tuple[Webhook, str]:
+        """A new webhook and its secret ("whsec_..." as Standard Webhooks has it), which is told only now.
+
+        identifier: a new one where empty.
+        """
         secret = "whsec_" + base64.b64encode(secrets.token_bytes(SECRET_BYTES)).decode()
-        made = Webhook(uuid.uuid4().hex, url, description, list(events), self.clock(), None, None, "")
+        made = Webhook(identifier or uuid.uuid4().hex, url, description, list(events), self.clock(), None, None, "")
         with self.engine.begin() as connection:
             connection.execute(webhooks.insert().values(**vars(made), secret=secret))
         return made, secret
+
+    def made_before(self, identifier: str) -> tuple[Webhook, str] | None:
+        """What ``create`` returned, for a client whose answer was lost; None where it did not get so far."""
+        with reading(self.engine) as connection:
+            secret = connection.scalar(sa.select(webhooks.c.secret).where(webhooks.c.id == identifier))
+            return None if secret is None else (_webhook(connection, identifier), secret)
 
     def all(self) -> list[Webhook]:
         """Every webhook, oldest first."""
@@ -209,12 +224,18 @@ class Webhooks:
             connection.execute(webhooks.update().where(webhooks.c.id == identifier).values(values))
             return _webhook(connection, identifier)
 
-    def test(self, identifier: str) -> Message:
-        """Records a message of the event "webhook.test". raises: NotFoundError"""
+    def test(self, identifier: str, name: str = "") -> Message:
+        """Records a message of the event "webhook.test". raises: NotFoundError
+
+        name: 32 hexadecimal digits that its identifier is made of; new ones where empty. Nothing is recorded where it
+        was before.
+        """
+        made = _message_id(name or uuid.uuid4().hex)
         with self.engine.begin() as connection:
             _webhook(connection, identifier)
-            data = {"webhook": identifier}
-            made = _record(connection, [identifier], self.clock(), "webhook.test", data)[0]
+            if not connection.scalar(sa.select(sa.exists().where(messages.c.id == made))):
+                data = {"webhook": identifier}
+                _record(connection, {made: identifier}, self.clock(), "webhook.test", data)
             return _message(connection, identifier, made)
 
     def messages(self, identifier: str, limit: int, before: tuple[float, str] | None = None) -> list[Message]:

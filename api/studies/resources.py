@@ -12,6 +12,7 @@ from api.study_resources import StudyPage as StudyPage
 from api.study_resources import StudyResource as StudyResource
 from worker.contract import STATES
 from worker.jobs import Simulation
+from worker.retention import is_expired
 from worker.studies import Study
 
 
@@ -57,8 +58,8 @@ def study_resource(row: Study, document: dict[str, Any] | None = None) -> StudyR
     )
 
 
-def case_resource(row: Simulation) -> CaseResource:
-    """The document of a case as part of its study."""
+def case_resource(row: Simulation, now: float) -> CaseResource:
+    """The document of a case as part of its study, at a time."""
     number = row.study_number or 0
     return CaseResource(
         number=number,
@@ -72,5 +73,7 @@ def case_resource(row: Simulation) -> CaseResource:
         finished_at=when(row.finished) if row.finished else None,
         results=row.results,
         error=FailureResource(**row.error) if row.error else None,
+        expires_at=when(row.expires_at) if row.expires_at else None,
+        expired=is_expired(row, now),
         href=simulation_path(row.id),
     )

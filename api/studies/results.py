@@ -24,6 +24,7 @@ from api.studies import tables
 from api.studies.resources import CasePage, case_resource, folder_name, study_resource
 from worker.contract import State
 from worker.jobs import NotFoundError
+from worker.retention import ExpiredError, is_expired
 from worker.studies import Studies, Study
 
 POLL_SECONDS = 1.0
@@ -57,7 +58,7 @@ def list_cases(
     if len(rows) > limit:
         following = pages.encode((float(rows[limit - 1].study_number or 0), identifier))
         response.headers["Link"] = f'<{request.url.include_query_params(cursor=following)}>; rel="next"'
-    return CasePage(items=[case_resource(row) for row in rows[:limit]], next=following)
+    return CasePage(items=[case_resource(row, time.time()) for row in rows[:limit]], next=following)
 
 
 @router.get("/manifest", response_class=Response, responses=_MANIFEST)
@@ -68,13 +69,17 @@ def get_manifest(
     format: Annotated[Literal["json", "csv"] | None, Query(description="as Accept says where not given")] = None,
     accept: Annotated[str | None, Header()] = None,
 ) -> Response:
-    """All cases: coordinates, states, results, files with their digests (JSON); or one line a case (CSV)."""
+    """All cases: coordinates, states, results, files with their digests (JSON); or one line a case (CSV).
+
+    A case whose files have expired has none, and ``expired`` is true.
+    """
     row = served.studies.get(identifier)
+    now = time.time()
     if (format or tables.preferred(accept)) == "json":
-        body = manifest_json(served, row)
+        body = manifest_json(served, row, now)
         return StreamingResponse(body, media_type="application/json", headers={"Vary": "Accept"})
     headers = {"Content-Disposition": f'attachment; filename="study-{identifier}.csv"', "Vary": "Accept"}
-    content = tables.csv_table(row, served.studies.cases(identifier))
+    content = tables.csv_table(row, served.studies.cases(identifier), now)
     return Response(content, media_type="text/csv; charset=utf-8", headers=headers)
 
 
@@ -89,13 +94,16 @@ def get_archive(
 ) -> StreamingResponse:
     """The files of the cases that have succeeded so far, one folder a case, as a zip archive made while it is sent.
 
-    Files that have expired meanwhile are named in missing.txt.
+    Cases whose files have expired are left out; missing.txt names them, as well as files that are gone meanwhile.
     """
     row = served.studies.get(identifier)
     if not row.counts.get("succeeded"):
         raise ApiError(409, "not-finished", f"no case of the study has succeeded yet; it is {row.state}")
+    now = time.time()
+    if not served.studies.has_files(identifier, now):
+        raise ExpiredError(f"the files of study {identifier}")
     return StreamingResponse(
-        stream_zip(_members(served, row, only), chunk_size=files.CHUNK_BYTES),
+        stream_zip(_members(served, row, only, now), chunk_size=files.CHUNK_BYTES),
         media_type="application/zip",
         headers={"Content-Disposition": f'attachment; filename="study-{identifier}.zip"'},
     )
@@ -116,15 +124,15 @@ def events(caller: Read, identifier: StudyIdentifier, served: Served) -> Streami
     )
 
 
-def manifest_json(served: Services, study: Study) -> Iterator[str]:
+def manifest_json(served: Services, study: Study, now: float) -> Iterator[str]:
     """The manifest, case by case, so that a large one never is in memory as a whole."""
     resource = study_resource(study, served.studies.document(study.id)).model_dump(mode="json")
     head = json.dumps({"schema": "tomosim-study-manifest/1", "study": resource}, indent=1)
     yield head.removesuffix("\n}") + ',\n "cases": ['
-    manifests = served.studies.manifests(study.id)
+    manifests = served.studies.manifests(study.id, now)
     number, manifest = next(manifests, (0, {}))
     for position, case in enumerate(served.studies.cases(study.id)):
-        entry = case_resource(case).model_dump(mode="json")
+        entry = case_resource(case, now).model_dump(mode="json")
         while number and number < entry["number"]:
             number, manifest = next(manifests, (0, {}))
         if number == entry["number"]:
@@ -138,20 +146,21 @@ def _stages(manifest: dict[str, Any]) -> list[dict[str, Any]]:
     return [{name: stage[name] for name in wanted if name in stage} for stage in manifest.get("stages", ())]
 
 
-def _members(served: Services, study: Study, only: str | None) -> Iterator[Member]:
-    now = datetime.now(UTC)
-    yield content_member("manifest.json", "".join(manifest_json(served, study)).encode(), now)
-    yield content_member("manifest.csv", tables.csv_table(study, served.studies.cases(study.id)).encode(), now)
-    missing = []
-    for number, manifest in served.studies.manifests(study.id):
+def _members(served: Services, study: Study, only: str | None, now: float) -> Iterator[Member]:
+    when = datetime.fromtimestamp(now, UTC)
+    cases = served.studies.cases(study.id)
+    yield content_member("manifest.json", "".join(manifest_json(served, study, now)).encode(), when)
+    yield content_member("manifest.csv", tables.csv_table(study, cases, now).encode(), when)
+    missing = [f"{folder_name(case.study_number or 0)}/" for case in cases if is_expired(case, now)]
+    for number, manifest in served.studies.manifests(study.id, now):
         folder = f"{folder_name(number)}/"
-        yield content_member(f"{folder}manifest.json", manifest_bytes(manifest), now)
+        yield content_member(f"{folder}manifest.json", manifest_bytes(manifest), when)
         chosen = chosen_files(manifest, only)
         there = {name: ref for name, ref in chosen.items() if served.store.has(ref)}
         missing += [folder + name for name in chosen if name not in there]
-        yield from file_members(served.store, there, now, folder)
+        yield from file_members(served.store, there, when, folder)
     if missing:
-        yield content_member("missing.txt", "".join(f"{name}\n" for name in missing).encode(), now)
+        yield content_member("missing.txt", "".join(f"{name}\n" for name in missing).encode(), when)
 
 
 async def _stream(studies: Studies, identifier: str) -> AsyncIterator[str]:

@@ -2,17 +2,15 @@
 
 from __future__ import annotations
 
-import hashlib
 import logging
 from typing import Annotated, Any
 
-from fastapi import APIRouter, BackgroundTasks, Depends, Header, Query, Request, Response
-from fastapi.responses import JSONResponse
+from fastapi import APIRouter, BackgroundTasks, Depends, Query, Request, Response
 
 from api import pages
 from api.auth import Read, Submitting, Write
 from api.automatic import STUDY_WITH_DELIVER, WantedDeliveries, require_deliver
-from api.conditions import none_match
+from api.conditions import CHANGED, UNCHANGED, IfMatch, IfNoneMatch, document, require_match
 from api.deps import PostedCaseBody, Served, Services, StudyIdentifier
 from api.errors import ApiError
 from api.idempotency import IdempotentRoute, Making
@@ -117,22 +115,10 @@ def list_studies(
     return StudyPage(items=[study_resource(row) for row in rows[:limit]], next=following)
 
 
-@router.get("/{identifier}", response_model=StudyResource, responses={304: {"description": "not changed"}})
-def get_study(
-    caller: Read, identifier: StudyIdentifier, served: Served, if_none_match: Annotated[str | None, Header()] = None
-) -> Response:
+@router.get("/{identifier}", response_model=StudyResource, responses=UNCHANGED)
+def get_study(caller: Read, identifier: StudyIdentifier, served: Served, if_none_match: IfNoneMatch = None) -> Response:
     """One study. Its entity tag changes with its counts."""
-    row = served.studies.get(identifier)
-    content = study_resource(row, served.studies.document(identifier)).model_dump(mode="json")
-    answer = JSONResponse(content)
-    tag = hashlib.sha256(bytes(answer.body)).hexdigest()[:32]
-    headers = {"ETag": f'W/"{tag}"', "Cache-Control": "no-cache"}
-    if not row.is_final:
-        headers |= RETRY_AFTER
-    if none_match(if_none_match, tag):
-        return Response(status_code=304, headers=headers)
-    answer.headers.update(headers)
-    return answer
+    return _answer(served, served.studies.get(identifier), if_none_match)
 
 
 @router.post("/{identifier}/cancel", status_code=202)
@@ -166,12 +152,19 @@ def retry(
     return study_resource(row)
 
 
-@router.delete("/{identifier}", status_code=204)
-def delete(caller: Write, identifier: StudyIdentifier, served: Served) -> None:
+@router.delete("/{identifier}", status_code=204, responses=CHANGED)
+def delete(caller: Write, identifier: StudyIdentifier, served: Served, if_match: IfMatch = None) -> None:
     """Forgets a study that has ended, and its cases. Stored stages stay: other cases may use them."""
+    if if_match is not None:
+        require_match(if_match, _answer(served, served.studies.get(identifier)).headers["ETag"])
     if not served.studies.delete(identifier):
         state = served.studies.get(identifier).state
         raise ApiError(409, "not-finished", f"the study is {state}: cancel it first, or wait for its end")
+
+
+def _answer(served: Services, row: Study, if_none_match: str | None = None) -> Response:
+    content = study_resource(row, served.studies.document(row.id))
+    return document(content, if_none_match, {} if row.is_final else RETRY_AFTER)
 
 
 def _made_before(served: Services, identifier: str) -> Study | None:

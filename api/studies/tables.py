@@ -35,8 +35,8 @@ def _quality(parameters: Sequence[str]) -> float:
     return 1.0
 
 
-def csv_table(study: Study, cases: Sequence[Simulation]) -> str:
-    """One line a case: number, name, identifier, state, coordinates, results, failure (RFC 4180, UTF-8).
+def csv_table(study: Study, cases: Sequence[Simulation], now: float) -> str:
+    """One line a case: number, name, identifier, state, coordinates, results, failure (RFC 4180, UTF-8), at a time.
 
     A text that a spreadsheet would take for a formula gets an apostrophe in front.
     """
@@ -48,16 +48,19 @@ def csv_table(study: Study, cases: Sequence[Simulation]) -> str:
     writer.writerow(
         map(
             _cell,
-            ["number", "name", "id", "state", *study.columns, *columns, "attempt", *times, "error_code", "error"],
+            [
+                *("number", "name", "id", "state", *study.columns, *columns, "attempt", *times, "error_code", "error"),
+                "expired",
+            ],
         )
     )
     for case, result in zip(cases, results, strict=True):
-        shown = case_resource(case)
+        shown = case_resource(case, now)
         coordinates = [shown.coordinates.get(column) for column in study.columns]
         error = ["", ""] if shown.error is None else [shown.error.code, shown.error.message]
         when = [at.isoformat() if at else "" for at in (shown.started_at, shown.finished_at)]
         cells = [shown.number, shown.name, shown.id, shown.state, *coordinates]
-        cells += [*(result.get(column) for column in columns), shown.attempt, *when, *error]
+        cells += [*(result.get(column) for column in columns), shown.attempt, *when, *error, shown.expired]
         writer.writerow(map(_cell, cells))
     return target.getvalue()
 

@@ -60,6 +60,13 @@ class MeshError(SimulationError):
     code = "mesh-failed"
 
 
+class MeshMemoryError(MeshError):
+    """The mesher needed more memory than it may use."""
+
+    kind = "system"
+    code = "out-of-memory"
+
+
 class SolverError(SimulationError):
     """The compression did not converge; the message says what to change."""
 

@@ -4,9 +4,10 @@ A folder of this machine keeps what was read or written here lately. Objects and
 never stale; what comes from the bucket is compared with its SHA-256 before it is used.
 
 One computation per key: ``locks/<key>`` is made by a conditional write (If-None-Match), renewed while the holder
-lives, and taken over (If-Match) where it was not for ``LOCK_SECONDS``, by the clock of the service. It lies in the
-bucket, not in a database, because a computation knows the store alone. Should two machines compute one key after
-all, both results are whole and one of them stays.
+lives, and taken over (If-Match) where it was not for ``LOCK_SECONDS``, by the clock of the service; at once where the
+holder worked in our own folder, whose lock the system has freed: it is dead. It lies in the bucket, not in a database,
+because a computation knows the store alone. Should two machines compute one key after all, both results are whole and
+one of them stays.
 
 What a record names is in use as long as the record is. A record that is asked for is written again where it is old
 (If-Match), so that a collection that is about to remove it (If-Match as well) and its user cannot both succeed.
@@ -73,6 +74,7 @@ class ObjectStore(Store):
         self.touch_seconds = touch_seconds
         self._bucket = Bucket(location)
         self._trimmed = time.monotonic()
+        self._identity = _identity(self.root)
 
     # Objects
 
@@ -169,7 +171,7 @@ class ObjectStore(Store):
 
     @contextlib.contextmanager
     def lock(self, key: str) -> Iterator[None]:
-        with super().lock(key), _RemoteLock(self._bucket, key):
+        with super().lock(key), _RemoteLock(self._bucket, key, self._identity):
             yield
 
     def remove_workspaces(self, process: int) -> None:
@@ -240,10 +242,14 @@ class ObjectStore(Store):
 
 
 class _RemoteLock:
-    """``locks/<key>`` in the bucket, renewed by a thread while it is held."""
+    """``locks/<key>`` in the bucket, renewed by a thread while it is held.
 
-    def __init__(self, bucket: Bucket, key: str) -> None:
+    folder: identity of the folder in which the caller holds the lock of this key.
+    """
+
+    def __init__(self, bucket: Bucket, key: str, folder: str) -> None:
         self._bucket = bucket
+        self._folder = folder
         self._name = f"locks/{key}"
         self._tag = ""
         self._released = threading.Event()
@@ -264,8 +270,11 @@ class _RemoteLock:
     def _try(self) -> str | None:
         if tag := self._bucket.put(self._name, self._content(), fresh=True):
             return tag
-        held = self._bucket.head(self._name)
-        if held is not None and held.age > LOCK_SECONDS:
+        found = self._bucket.get(self._name)
+        if found is None:
+            return None
+        holder, held = found
+        if held.age > LOCK_SECONDS or holder.endswith(self._folder.encode()):
             return self._bucket.put(self._name, self._content(), tag=held.tag)
         return None
 
@@ -278,7 +287,19 @@ class _RemoteLock:
                 self._tag = tag
 
     def _content(self) -> bytes:
-        return f"{workspace_prefix(os.getpid())}{uuid.uuid4().hex}".encode()
+        return f"{workspace_prefix(os.getpid())}{uuid.uuid4().hex} {self._folder}".encode()
+
+
+def _identity(root: Path) -> str:
+    """A name of this folder that no other one has."""
+    path = root / "identity"
+    if not path.exists():
+        made = root / "tmp" / f"identity-{uuid.uuid4().hex}"
+        made.write_text(uuid.uuid4().hex)
+        with contextlib.suppress(FileExistsError):
+            os.link(made, path)
+        made.unlink()
+    return path.read_text()
 
 
 def _object_name(sha256: str) -> str:

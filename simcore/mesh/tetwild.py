@@ -23,7 +23,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from simcore.core.errors import MeshError
+from simcore.core.errors import MeshError, MeshMemoryError
 from simcore.core.progress import Progress, silent
 
 if TYPE_CHECKING:  # the child has no use for compiled code
@@ -67,7 +67,7 @@ def tetrahedralize(
             )  # fmt: skip
             code = _wait(child, timeout_s, progress)
         if code != 0:
-            raise MeshError(_failure(code, folder / "log", timeout_s))
+            raise _failure(code, (folder / "log").read_text(errors="replace"), timeout_s)
         with np.load(folder / "tets.npz") as result:
             return result["nodes"], result["tets"]
 
@@ -101,16 +101,20 @@ def _wait(child: subprocess.Popen[bytes], timeout_s: float, progress: Progress) 
             child.wait()
 
 
-def _failure(code: int | None, log: Path, timeout_s: float) -> str:
+def _failure(code: int | None, log: str, timeout_s: float) -> MeshError:
+    last = log.strip().splitlines()[-8:]
+    said = " Its last lines: " + " | ".join(last) if last else ""
+    # What C++ cannot allocate (a stack of a thread as well) ends in abort() or, where the binding caught it, in Python.
+    aborted = code == -signal.SIGABRT and any(words in log for words in ("std::bad_alloc", "pthread_create has failed"))
+    if aborted or (code and any("MemoryError" in line for line in last)):
+        return MeshMemoryError(f"the mesher needed more memory than it may use; take a larger edge_length_mm.{said}")
     if code is None:
         what = f"did not finish within {timeout_s:g} s"
     elif code < 0:
         what = f"was ended by {signal.Signals(-code).name}"
     else:
         what = f"failed with exit status {code}"
-    last = log.read_text(errors="replace").strip().splitlines()[-8:]
-    said = " Its last lines: " + " | ".join(last) if last else ""
-    return f"the mesher {what}; try another edge_length_mm or epsilon.{said}"
+    return MeshError(f"the mesher {what}; try another edge_length_mm or epsilon.{said}")
 
 
 def _die_with_parent(parent: int) -> None:

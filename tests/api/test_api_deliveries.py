@@ -217,13 +217,13 @@ def test_a_part_of_a_case(client, make, case, is_problem):
     is_problem(ask(simulation_id=None), 422, "invalid-request")
 
 
-def test_a_case_that_cannot_be_sent(client, served, post, make, case, is_problem):
+def test_a_case_that_cannot_be_sent(client, served, post, make, case, is_problem, lose):
     make()
     waiting = post(name="waits", seed=77)
     body = {"destination": "pacs", "simulation_id": waiting["id"]}
     is_problem(client.post("/v1/deliveries", json=body), 409, "not-finished")
     ref = served.jobs.manifest(case)["files"]["volume.dcm"]
-    next(served.store.root.glob(f"objects/*/{ref['sha256']}")).unlink()
+    lose(served.store, ref["sha256"])
     body = {"destination": "pacs", "simulation_id": case}
     is_problem(client.post("/v1/deliveries", json=body), 410, "expired")
     for path in ("/v1/deliveries/x", f"/v1/deliveries/{'0' * 32}", f"/v1/deliveries/{'0' * 32}/instances"):

@@ -66,7 +66,8 @@ def test_processes_share_their_buckets(settings, redis_url):
 
 def test_the_bucket_refills(settings):
     clock = Clock()
-    rates = Rates(settings.model_copy(update={"rate_per_second": 2.0, "rate_burst": 2}), clock)  # no broker answers
+    changed = {"rate_per_second": 2.0, "rate_burst": 2, "broker_url": "redis://127.0.0.1:1/0"}  # no broker answers
+    rates = Rates(settings.model_copy(update=changed), clock)
     assert [rates.take("a") for _ in range(3)] == [0, 0, 0.5]
     clock.now += 0.5
     assert [rates.take("a") for _ in range(2)] == [0, 0.5]

@@ -1,6 +1,10 @@
 """Retention and pins over HTTP."""
 
+import csv
+import io
+import json
 import time
+import zipfile
 
 import pytest
 import sqlalchemy as sa
@@ -77,6 +81,40 @@ def test_a_study_is_pinned_as_a_whole(client, served, finish, expire, is_problem
     is_problem(client.get(f"/v1/simulations/{cases[0].id}/archive"), 410, "expired")
     is_problem(client.post(f"/v1/studies/{study['id']}/pin"), 410, "expired")
     is_problem(client.post(f"/v1/studies/{'0' * 32}/pin"), 404, "study-not-found")
+
+
+def test_a_study_of_which_some_cases_have_expired(client, served, finish, expire, is_problem):
+    """What a case alone does not give out any more, its study does not either, and says so."""
+    document = {"axes": [{"kind": "grid", "field": "seed", "values": [1, 2]}]}
+    study = client.post("/v1/studies?retention_seconds=60", json=document).json()["links"]
+    first, second = served.studies.cases(client.get(study["self"]).json()["id"], 10)
+    finish(first.id)
+    finish(second.id)
+    assert client.post(f"/v1/simulations/{first.id}/pin").status_code == 200
+    expire()
+    is_problem(client.get(f"/v1/simulations/{second.id}/archive"), 410, "expired")
+
+    kept, gone = client.get(study["manifest"]).json()["cases"]
+    assert (kept["state"], kept["expired"], gone["state"], gone["expired"]) == ("succeeded", False, "succeeded", True)
+    assert set(kept["files"]) >= {"volume.dcm"}
+    assert "files" not in gone
+    assert "stages" not in gone
+    assert gone["results"]["volume_ml"] == 700.0
+    assert [c["expired"] for c in client.get(study["cases"]).json()["items"]] == [False, True]
+    table = list(csv.DictReader(io.StringIO(client.get(f"{study['manifest']}?format=csv").text)))
+    assert [row["expired"] for row in table] == ["false", "true"]
+    with zipfile.ZipFile(io.BytesIO(client.get(f"{study['self']}/archive").content)) as archive:
+        assert archive.testzip() is None
+        names = archive.namelist()
+        assert "case-0001/volume.dcm" in names
+        assert not [name for name in names if name.startswith("case-0002")]
+        assert archive.read("missing.txt").decode() == "case-0002/\n"
+        assert [c["expired"] for c in json.loads(archive.read("manifest.json"))["cases"]] == [False, True]
+
+    assert client.delete(f"/v1/simulations/{first.id}/pin").status_code == 200
+    expire()
+    detail = is_problem(client.get(f"{study['self']}/archive"), 410, "expired")["detail"]
+    assert "post it again" in detail
 
 
 @pytest.mark.parametrize("wrong", ["-1", "soon", "1e11"])

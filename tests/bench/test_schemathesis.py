@@ -4,6 +4,6 @@ from bench import schemathesis
 
 
 def test_every_operation(monkeypatch):
-    with schemathesis.service() as url:
-        code, output = schemathesis.run(url, ["--phases=fuzzing", "--max-examples=1", "--generation-deterministic"])
+    with schemathesis.service() as target:
+        code, output = schemathesis.run(target, ["--phases=fuzzing", "--max-examples=1", "--generation-deterministic"])
     assert code == 0, output

@@ -51,7 +51,7 @@ def free_port() -> int:
 
 
 @pytest.fixture(scope="module")
-def settings(tmp_path_factory: pytest.TempPathFactory):
+def settings(tmp_path_factory: pytest.TempPathFactory, module_backend: dict[str, object]):
     with pytest.MonkeyPatch.context() as patch:
         for name in [n for n in os.environ if n.startswith("TOMOSIM_")]:
             patch.delenv(name)
@@ -61,6 +61,7 @@ def settings(tmp_path_factory: pytest.TempPathFactory):
             pipeline="fake_pipeline:run",
             webhook_private_hosts="127.0.0.1",
             memory_limit_bytes=3_000_000_000,
+            **module_backend,
         )
 
 

@@ -42,11 +42,12 @@ def answers(url):
 
 
 @pytest.fixture(scope="module")
-def service(tmp_path_factory):
+def service(tmp_path_factory, module_backend):
     folder = tmp_path_factory.mktemp("data")
     port = free_port()
     command = [sys.executable, "-m", "tomosim", "serve", "--data", str(folder), "--port", str(port)]
-    process = subprocess.Popen(command, start_new_session=True)
+    env = {**os.environ, **{f"TOMOSIM_{name.upper()}": str(value) for name, value in module_backend.items()}}
+    process = subprocess.Popen(command, env=env, start_new_session=True)
     url = f"http://127.0.0.1:{port}"
     try:
         wait_for(lambda: process.poll() is None and answers(f"{url}/readyz"), "the start")

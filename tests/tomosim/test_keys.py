@@ -5,12 +5,15 @@ import pytest
 from tomosim.cli import main
 from worker.database import connect
 from worker.keys import Keys
+from worker.settings import Settings
 
 
 @pytest.fixture
-def keys(tmp_path, monkeypatch):
-    monkeypatch.setenv("TOMOSIM_DATA_FOLDER", str(tmp_path))
-    engine = connect(f"sqlite:///{tmp_path}/tomosim.db")
+def keys(tmp_path, monkeypatch, backend):
+    settings = Settings.load(data_folder=tmp_path, **backend)
+    for name, value in settings.environment().items():
+        monkeypatch.setenv(name, value)
+    engine = connect(settings.resolved_database_url)
     yield Keys(engine)
     engine.dispose()
 

@@ -39,12 +39,13 @@ class NoBroker:
 
 
 @pytest.fixture(scope="module")
-def service(tmp_path_factory: pytest.TempPathFactory):
+def service(tmp_path_factory: pytest.TempPathFactory, module_backend: dict[str, object]):
     """(address, services) of a running API."""
     with pytest.MonkeyPatch.context() as patch:
         for name in [n for n in os.environ if n.startswith("TOMOSIM_")]:
             patch.delenv(name)
-        settings = Settings.load(data_folder=tmp_path_factory.mktemp("data"), memory_limit_bytes=8_000_000_000)
+        folder = tmp_path_factory.mktemp("data")
+        settings = Settings.load(data_folder=folder, memory_limit_bytes=8_000_000_000, **module_backend)
         app = create_app(settings, NoBroker(), sweep=False)
         server = uvicorn.Server(uvicorn.Config(app, host="127.0.0.1", port=0, log_level="warning"))
         thread = threading.Thread(target=server.run, daemon=True)

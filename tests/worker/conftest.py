@@ -1,6 +1,7 @@
 """What tests of the service start with: settings on a fresh folder, a database, the fake pipeline."""
 
 import os
+import shutil
 import socket
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -8,7 +9,7 @@ from pathlib import Path
 import pytest
 import sqlalchemy as sa
 
-from worker.database import connect, create_tables
+from worker.database import connect
 from worker.jobs import Jobs
 from worker.settings import Settings
 
@@ -31,13 +32,13 @@ def clock() -> Clock:
 
 
 @pytest.fixture(params=["sqlite", pytest.param("postgresql", marks=pytest.mark.needs_postgresql)])
-def engine(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[sa.Engine]:
+def engine(request: pytest.FixtureRequest, tmp_path: Path, sqlite_template: Path) -> Iterator[sa.Engine]:
+    """A database with all tables and no row."""
     if request.param == "sqlite":
+        shutil.copyfile(sqlite_template, tmp_path / "tomosim.db")
         made = connect(f"sqlite:///{tmp_path / 'tomosim.db'}")
     else:
-        made = connect(request.getfixturevalue("postgres_url"))
-        request.getfixturevalue("empty_postgres")()
-    create_tables(made)
+        made = connect(request.getfixturevalue("empty_service_database"))
     yield made
     made.dispose()
 
@@ -54,17 +55,30 @@ def free_port() -> int:
         return int(probe.getsockname()[1])
 
 
+def _settings(folder: Path, patch: pytest.MonkeyPatch, backend: dict[str, object]) -> Callable[..., Settings]:
+    for name in [n for n in os.environ if n.startswith("TOMOSIM_")]:
+        patch.delenv(name)
+    patch.setenv("PYTHONPATH", str(HERE), prepend=os.pathsep)
+
+    def make(**changes: object) -> Settings:
+        given = {"data_folder": folder, "pipeline": "fake_pipeline:run", "memory_limit_bytes": 3_000_000_000}
+        return Settings.load(**{**given, **backend, **changes})
+
+    return make
+
+
 @pytest.fixture
 def make_settings(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, backend: dict[str, object]
 ) -> Callable[..., Settings]:
     """Settings on a fresh data folder, with the fake pipeline."""
-    for name in [n for n in os.environ if n.startswith("TOMOSIM_")]:
-        monkeypatch.delenv(name)
-    monkeypatch.setenv("PYTHONPATH", str(HERE), prepend=os.pathsep)
+    return _settings(tmp_path / "data", monkeypatch, backend)
 
-    def make(**changes: object) -> Settings:
-        given = {"data_folder": tmp_path / "data", "pipeline": "fake_pipeline:run", "memory_limit_bytes": 3_000_000_000}
-        return Settings.load(**{**given, **backend, **changes})
 
-    return make
+@pytest.fixture(scope="module")
+def make_module_settings(
+    tmp_path_factory: pytest.TempPathFactory, module_backend: dict[str, object]
+) -> Iterator[Callable[..., Settings]]:
+    """The same on a data folder, and with services, that the tests of a module share."""
+    with pytest.MonkeyPatch.context() as patch:
+        yield _settings(tmp_path_factory.mktemp("data"), patch, module_backend)

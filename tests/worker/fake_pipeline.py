@@ -4,10 +4,12 @@ slow      four seconds of work in steps       forever   does not come to an end
 silent    sleeps and tells nothing            noise     prints to standard output
 crash     kills its own process (SIGSEGV)     memory    asks for more memory than there is
 gigabyte  fills a gigabyte of memory          refuse    raises a SolverError
+cpp       throws std::bad_alloc past Python   rust      aborts as Rust does without memory
 mistake   raises a KeyError                   exit      ends its own process
 large     writes 24 MB
 """
 
+import ctypes
 import json
 import os
 import signal
@@ -83,6 +85,11 @@ def misbehave(name: str, progress: Any) -> None:
         bytearray(1 << 50)
     if name == "gigabyte":
         bytearray(1_000_000_000)
+    if name == "cpp":
+        ctypes.CDLL("libstdc++.so.6")._ZSt17__throw_bad_allocv()
+    if name == "rust":
+        os.write(2, b"memory allocation of 8589934592 bytes failed\n")
+        os.abort()
     if name == "crash":
         os.kill(os.getpid(), signal.SIGSEGV)
     if name == "exit":

@@ -36,8 +36,8 @@ def store(request, tmp_path):
 
 
 @pytest.fixture
-def database(tmp_path):
-    engine = connect(f"sqlite:///{tmp_path / 'garbage.db'}")
+def database(tmp_path, backend):
+    engine = connect(str(backend.get("database_url", f"sqlite:///{tmp_path / 'garbage.db'}")))
     create_tables(engine)
     yield engine
     engine.dispose()

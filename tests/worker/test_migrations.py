@@ -19,6 +19,19 @@ from worker.tables import metadata
 SIMULATION = {"id": "1" * 32, "state": "queued", "specification": {}, "estimate": {}, "queue": "batch", "created": 1.0}
 
 
+@pytest.fixture(params=["sqlite", pytest.param("postgresql", marks=pytest.mark.needs_postgresql)])
+def engine(request, tmp_path):
+    """A database that was migrated from nothing; tests change its tables."""
+    if request.param == "sqlite":
+        made = connect(f"sqlite:///{tmp_path / 'tomosim.db'}")
+    else:
+        made = connect(request.getfixturevalue("postgres_url"))
+        request.getfixturevalue("empty_postgres")()
+    create_tables(made)
+    yield made
+    made.dispose()
+
+
 def differences(engine):
     with engine.connect() as connection:
         return compare_metadata(MigrationContext.configure(connection, opts={"compare_type": True}), metadata)
@@ -115,8 +128,11 @@ def test_several_processes_start_at_once(engine):
     assert differences(engine) == []
 
 
-def test_by_command(make_settings):
+def test_by_command(make_settings, backend, request):
     settings = make_settings()
+    if backend:
+        request.getfixturevalue("empty_postgres")()
+        settings = make_settings(database_url=request.getfixturevalue("postgres_url"))
 
     def db(*words):
         command = [sys.executable, "-m", "tomosim", "db", *words]

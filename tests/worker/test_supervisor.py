@@ -1,5 +1,9 @@
-"""A worker slot with a real compute process: every way a case can end, and the next one still works."""
+"""A worker slot with a real compute process: every way a case can end, and the next one still works.
 
+One slot serves all tests, as it serves all cases: what one leaves behind would harm the next.
+"""
+
+import itertools
 import json
 import os
 import signal
@@ -36,12 +40,12 @@ def is_alive(pid: int) -> bool:
         return False
 
 
-@pytest.fixture
-def settings(make_settings):
-    return make_settings()
+@pytest.fixture(scope="module")
+def settings(make_module_settings):
+    return make_module_settings()
 
 
-@pytest.fixture
+@pytest.fixture(scope="module")
 def jobs(settings):
     engine = connect(settings.resolved_database_url)
     create_tables(engine)
@@ -49,15 +53,25 @@ def jobs(settings):
     engine.dispose()
 
 
-@pytest.fixture
-def slot(settings, jobs):
+@pytest.fixture(scope="module")
+def shared_slot(settings, jobs):
     made = Slot("test", settings, jobs, threading.Event())
     yield made
     made.kill()
 
 
-def queue(jobs, name, seed=1):
-    return jobs.create({"name": name, "seed": seed}, {"seconds": 1.0}, name).id
+@pytest.fixture
+def slot(shared_slot):
+    yield shared_slot
+    shared_slot.stopping.clear()
+
+
+seeds = itertools.count(1000)
+
+
+def queue(jobs, name, seed=None):
+    """A case of this name; with stages of its own unless a seed is given."""
+    return jobs.create({"name": name, "seed": next(seeds) if seed is None else seed}, {"seconds": 1.0}, name).id
 
 
 def run_in_thread(slot, identifier):
@@ -74,20 +88,20 @@ def running(jobs, identifier):
 
 
 def next_case_works(slot, jobs):
-    identifier = queue(jobs, "next", seed=99)
+    identifier = queue(jobs, "next")
     slot.run(identifier)
     assert jobs.get(identifier).state == "succeeded"
 
 
 def test_a_case_succeeds_and_the_process_stays_warm(slot, jobs):
-    first = queue(jobs, "noise")
+    first = queue(jobs, "noise", seed=1)
     slot.run(first)
     row = jobs.get(first)
     assert (row.state, row.error) == ("succeeded", None)
     assert (row.stage, row.stages_done, row.stages_total) == ("preview", 2, 2)
     assert set(jobs.manifest(first)["files"]) == {"projections/0001.dcm", "volume.dcm", "preview/phantom.png"}
     pid = slot.warm_up().pid
-    again = queue(jobs, "noise")
+    again = queue(jobs, "noise", seed=1)
     slot.run(again)
     assert slot.warm_up().pid == pid
     assert jobs.manifest(again)["computed_stages"] == 0
@@ -101,6 +115,8 @@ def test_a_case_succeeds_and_the_process_stays_warm(slot, jobs):
         ("refuse", "simulation", "solver-failed", "did not converge"),
         ("mistake", "system", "internal-error", "KeyError"),
         ("memory", "system", "out-of-memory", "TOMOSIM_MEMORY_LIMIT_BYTES"),
+        ("cpp", "system", "out-of-memory", "TOMOSIM_MEMORY_LIMIT_BYTES"),
+        ("rust", "system", "out-of-memory", "larger voxels"),
         ("exit", "system", "compute-crashed", "exit code 3"),
     ],
 )
@@ -114,9 +130,9 @@ def test_a_failure_is_clear_and_the_next_case_works(slot, jobs, name, kind, code
     next_case_works(slot, jobs)
 
 
-def test_memory_limit_holds(make_settings, jobs):
+def test_memory_limit_holds(make_module_settings, jobs):
     """An allocation that the machine could serve but the limit forbids."""
-    slot = Slot("test", make_settings(memory_limit_bytes=400_000_000), jobs, threading.Event())
+    slot = Slot("test", make_module_settings(memory_limit_bytes=400_000_000), jobs, threading.Event())
     try:
         identifier = queue(jobs, "gigabyte")
         slot.run(identifier)
@@ -151,6 +167,19 @@ def test_a_killed_compute_process_costs_an_attempt_not_the_case(slot, jobs):
     assert (jobs.get(identifier).state, jobs.get(identifier).attempt) == ("succeeded", 2)
 
 
+def test_killed_by_the_kernel_for_want_of_memory_is_not_tried_again(slot, jobs, monkeypatch):
+    kills = iter([3, 4])
+    monkeypatch.setattr("worker.memory.kernel_kills", lambda: next(kills))
+    identifier = queue(jobs, "slow")
+    thread = run_in_thread(slot, identifier)
+    running(jobs, identifier)
+    os.kill(slot.warm_up().pid, signal.SIGKILL)
+    thread.join(PATIENCE_SECONDS)
+    row = jobs.get(identifier)
+    assert (row.state, row.attempt, row.error["code"]) == ("failed", 1, "out-of-memory")
+    assert "container" in row.error["message"]
+
+
 def test_a_cancelled_case_is_not_tried_again_after_a_crash(slot, jobs, monkeypatch):
     identifier = queue(jobs, "forever")
     thread = run_in_thread(slot, identifier)
@@ -164,6 +193,7 @@ def test_a_cancelled_case_is_not_tried_again_after_a_crash(slot, jobs, monkeypat
 
 
 def test_cancel_while_the_process_starts(slot, jobs):
+    slot.kill()
     identifier = queue(jobs, "fine")
     thread = run_in_thread(slot, identifier)
     wait_for(lambda: jobs.get(identifier).state == "running")
@@ -197,8 +227,8 @@ def test_cancel_kills_the_process(slot, jobs, settings):
     next_case_works(slot, jobs)
 
 
-def test_timeout(make_settings, jobs):
-    slot = Slot("test", make_settings(job_timeout_seconds=3.0), jobs, threading.Event())
+def test_timeout(make_module_settings, jobs):
+    slot = Slot("test", make_module_settings(job_timeout_seconds=3.0), jobs, threading.Event())
     try:
         identifier = queue(jobs, "forever")
         slot.run(identifier)
@@ -244,8 +274,8 @@ def test_late_and_double_messages_do_nothing(slot, jobs):
     assert jobs.get(identifier).revision == revision
 
 
-def test_a_pipeline_that_cannot_be_imported(make_settings, jobs):
-    slot = Slot("test", make_settings(pipeline="no_such_module:run"), jobs, threading.Event())
+def test_a_pipeline_that_cannot_be_imported(make_module_settings, jobs):
+    slot = Slot("test", make_module_settings(pipeline="no_such_module:run"), jobs, threading.Event())
     try:
         identifier = queue(jobs, "fine")
         slot.run(identifier)
@@ -269,8 +299,8 @@ def test_finished_stages_are_kept_over_a_kill(slot, jobs):
     thread.join(PATIENCE_SECONDS)
 
 
-def test_two_slots_run_two_cases(make_settings, jobs):
-    slots = Slots("test", make_settings(worker_slots=2), jobs)
+def test_two_slots_run_two_cases(make_module_settings, jobs):
+    slots = Slots("test", make_module_settings(worker_slots=2), jobs)
     try:
         cases = [queue(jobs, "forever", seed) for seed in (1, 2)]
         threads = [run_in_thread(slots, c) for c in cases]
@@ -284,7 +314,7 @@ def test_two_slots_run_two_cases(make_settings, jobs):
         slots.kill()
 
 
-def test_compute_process_dies_with_its_parent(make_settings):
+def test_compute_process_dies_with_its_parent(make_module_settings):
     code = (
         "import sys, time; from worker.compute_process import ComputeProcess; from worker.settings import Settings\n"
         "process = ComputeProcess(Settings.load())\n"
@@ -293,7 +323,7 @@ def test_compute_process_dies_with_its_parent(make_settings):
         "while (process.receive(60) or {}).get('stage') != 'preview': pass\n"
         "print(process.pid, flush=True); time.sleep(600)"
     )
-    env = environment(make_settings())
+    env = environment(make_module_settings())
     parent = subprocess.Popen([sys.executable, "-c", code], env=env, stdout=subprocess.PIPE, text=True)
     child = int(parent.stdout.readline())
     assert is_alive(child)
@@ -307,6 +337,7 @@ def test_log_lines_of_the_compute_process_name_their_case(slot, jobs, capfd):
     second = jobs.create({"name": "fine"}, {"seconds": 1.0}, submitter=Submitter("local", "request-2")).id
     slot.run(first)
     slot.run(second)
+    slot.kill()  # all that it has written has come through
     lines = [json.loads(line) for line in capfd.readouterr().err.splitlines() if line.startswith('{"time"')]
     [failed] = [line for line in lines if line["message"] == "case failed"]
     assert (failed["simulation"], failed["request"], failed["attempt"]) == (first, "request-1", 1)

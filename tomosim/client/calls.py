@@ -235,7 +235,7 @@ def delete_webhook(identifier: str) -> Call[None]:
 
 
 def test_webhook(identifier: str) -> Call[MessageResource]:
-    return _act(f"/v1/webhooks/{_part(identifier)}/test", MessageResource)
+    return _create(f"/v1/webhooks/{_part(identifier)}/test", MessageResource, None, None)
 
 
 def enable_webhook(identifier: str) -> Call[WebhookResource]:
@@ -258,8 +258,7 @@ def replay_message(identifier: str, message_id: str) -> Call[MessageResource]:
 
 
 def create_destination(destination: Destination) -> Call[DestinationResource]:
-    # The name is unique: what was made by a request whose answer was lost is found under it.
-    return Call("POST", "/v1/destinations", _model(DestinationResource), json=_json(destination), repeatable=False)
+    return _create("/v1/destinations", DestinationResource, _json(destination), None)
 
 
 def destinations() -> Call[DestinationList]:

@@ -91,11 +91,12 @@ def exported(tmp_path_factory: pytest.TempPathFactory, make_case: Callable[..., 
 
 
 @pytest.fixture(scope="module")
-def settings(tmp_path_factory: pytest.TempPathFactory) -> Settings:
+def settings(tmp_path_factory: pytest.TempPathFactory, module_backend: dict[str, object]) -> Settings:
     with pytest.MonkeyPatch.context() as patch:
         for name in Settings.model_fields:
             patch.delenv(f"TOMOSIM_{name.upper()}", raising=False)
-        return Settings.load(data_folder=tmp_path_factory.mktemp("data"), memory_limit_bytes=8_000_000_000)
+        folder = tmp_path_factory.mktemp("data")
+        return Settings.load(data_folder=folder, memory_limit_bytes=8_000_000_000, **module_backend)
 
 
 @pytest.fixture(scope="module")

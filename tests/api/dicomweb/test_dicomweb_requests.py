@@ -306,12 +306,12 @@ def test_two_cases_with_the_same_study(client, add_case, exported, served):
     assert client.get(first.url(VOLUME)).status_code == 404
 
 
-def test_a_case_whose_files_are_gone(client, add_case, exported, served, is_problem):
+def test_a_case_whose_files_are_gone(client, add_case, exported, served, is_problem, lose):
     case = add_case(exported(seed=8), "gone")
     client.get("/dicomweb/studies")
     manifest = served.jobs.manifest(case.id)
     sha256 = manifest["files"][VOLUME]["sha256"]
-    (served.store.root / "objects" / sha256[:2] / sha256).unlink()
+    lose(served.store, sha256)
     for what in ("", "/metadata", "/frames/1", "/rendered", "/thumbnail", "/bulkdata/7FE00010"):
         is_problem(client.get(case.url(VOLUME) + what), 410, "expired")
     is_problem(client.get(f"/dicomweb/studies/{case.study}"), 410, "expired")

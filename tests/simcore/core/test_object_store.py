@@ -174,6 +174,39 @@ def test_a_lock_is_renewed_and_only_a_silent_one_taken_over(machine, there, monk
     assert there.head("locks/k") is None
 
 
+def _hold_for_ever(root, location):
+    with ObjectStore(root, location, min_free_bytes=0).lock("k"):
+        time.sleep(600)
+
+
+def test_who_was_killed_holds_up_nobody_of_its_own_machine(machine, location, there, tmp_path):
+    """Whoever killed it may be gone as well: a worker that dies takes its compute process along."""
+    holder = multiprocessing.get_context("spawn").Process(target=_hold_for_ever, args=(tmp_path / "one", location))
+    holder.start()
+    deadline = time.monotonic() + 60
+    while there.head("locks/k") is None:
+        assert time.monotonic() < deadline
+        time.sleep(0.05)
+    holder.kill()
+    holder.join()
+    held = there.head("locks/k")
+    entered = threading.Event()
+
+    def ask():
+        with machine("two").lock("k"):
+            entered.set()
+
+    asking = threading.Thread(target=ask)
+    asking.start()
+    assert not entered.wait(1.5)  # another machine cannot know that it is dead
+    assert there.head("locks/k").tag == held.tag
+    start = time.monotonic()
+    with machine("one").lock("k"):
+        assert time.monotonic() - start < 10
+    assert entered.wait(10)
+    asking.join()
+
+
 def test_the_locks_of_a_killed_process_are_freed(machine, there):
     store = machine()
     there.put("locks/mine", store_content := f"{object_store.workspace_prefix(4711)}x".encode())

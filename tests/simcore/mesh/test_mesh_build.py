@@ -105,6 +105,34 @@ def test_failure_carries_the_last_lines_of_the_child() -> None:
     assert error.value.code == "mesh-failed"
 
 
+def test_a_mesher_without_memory_says_so() -> None:
+    """In a process that may use little more than it has already."""
+    cube = _slow_cube().replace("edge_length=0.1, epsilon=1e-4", "edge_length=0.5, epsilon=1e-3")
+    code = (
+        "import resource; from simcore.core.errors import MeshError\n"
+        "resource.setrlimit(resource.RLIMIT_DATA, (250_000_000, 250_000_000))\n"
+        f"{cube.replace('tetwild.tet', 'try: tetwild.tet')}\n"
+        "except MeshError as error: print(error.to_dict()['kind'], error.code, error)"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=300)
+    assert done.stdout.startswith("system out-of-memory the mesher needed more memory"), done
+    assert "edge_length_mm" in done.stdout
+
+
+@pytest.mark.parametrize(
+    ("code", "log", "out_of_memory"),
+    [
+        (-6, "terminate called after throwing an instance of 'std::bad_alloc'", True),
+        (1, "Traceback\nMemoryError: std::bad_alloc", True),
+        (-6, "free(): invalid pointer", False),
+        (1, "MemoryError\n" + "a line\n" * 8, False),
+        (None, "std::bad_alloc", False),
+    ],
+)
+def test_what_is_for_want_of_memory(code: int | None, log: str, out_of_memory: bool) -> None:
+    assert (tetwild._failure(code, log, 1.0).code == "out-of-memory") is out_of_memory
+
+
 def test_timeout() -> None:
     cube = box((10.0, 10.0, 10.0), (1, 1, 1))
     with pytest.raises(MeshError, match=r"did not finish within 0\.01 s"):

@@ -21,11 +21,11 @@ from pydicom.uid import (
     ExplicitVRLittleEndian,
 )
 
-from simcore.core.store import Store
-from worker.database import connect, create_tables
+from worker.database import connect
 from worker.deliveries import Deliveries, Item, Request
 from worker.delivery.sender import Sender
 from worker.destinations import Destination, Destinations
+from worker.storage import open_store
 
 MG = str(DigitalMammographyXRayImageStorageForProcessing)
 TOMO = str(BreastTomosynthesisImageStorage)
@@ -81,13 +81,13 @@ class Room:
     """A database, a store with a case, and whoever delivers it."""
 
     def __init__(self, settings, folder):
+        """settings: their database has all tables."""
         self.settings = settings
         self.folder = folder
         self.engine = connect(settings.resolved_database_url)
-        create_tables(self.engine)
         self.deliveries = Deliveries(self.engine, settings.lease_seconds)
         self.destinations = Destinations(self.engine)
-        self.store = Store(settings.store_folder)
+        self.store = open_store(settings)
         self.stopping = threading.Event()
         self.sender = Sender("test", settings, self.deliveries, self.store, self.stopping)
         self.pixels = {}
@@ -141,11 +141,15 @@ class Room:
 
 
 @pytest.fixture
-def make_room(make_settings, tmp_path):
+def make_room(make_settings, tmp_path, sqlite_template):
     made = []
 
-    def make(**settings):
-        made.append(Room(make_settings(**settings), tmp_path))
+    def make(**options):
+        settings = make_settings(**options)
+        if not made and not settings.database_url:
+            settings.data_folder.mkdir(exist_ok=True)
+            shutil.copyfile(sqlite_template, settings.data_folder / "tomosim.db")
+        made.append(Room(settings, tmp_path))
         return made[-1]
 
     yield make

@@ -90,14 +90,14 @@ def test_a_worker_that_stops_gives_the_delivery_back(room):
 
 WORKER = """
 import sys, threading
-from simcore.core.store import Store
 from worker.database import connect
 from worker.deliveries import Deliveries
 from worker.delivery.sender import Sender
 from worker.settings import Settings
+from worker.storage import open_store
 settings = Settings.load()
 deliveries = Deliveries(connect(settings.resolved_database_url), settings.lease_seconds)
-Sender("killed", settings, deliveries, Store(settings.store_folder), threading.Event()).run(sys.argv[1])
+Sender("killed", settings, deliveries, open_store(settings), threading.Event()).run(sys.argv[1])
 """
 
 

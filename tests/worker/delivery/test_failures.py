@@ -281,9 +281,9 @@ def test_no_common_transfer_syntax(room):
     assert row.error["code"] == "class-refused"
 
 
-def test_a_file_that_is_gone(room):
+def test_a_file_that_is_gone(room, lose):
     items = room.case(2)
-    room.store.path(items[0]).unlink()
+    lose(room.store, items[0].sha256)
     with closing(Scp()) as peer:
         row = room.deliver(peer.port, items)
     assert (row.state, row.error["code"]) == ("failed", "file-not-readable")

@@ -1,0 +1,128 @@
+"""Something to ask for: a service that has cases, studies, a phantom, destinations, deliveries and webhooks.
+
+Identifiers that are drawn at random are never those of anything; Schemathesis is told these, and draws them half of the
+time. What it deletes is gone for the rest of the run, so there are several of each.
+"""
+
+from __future__ import annotations
+
+import importlib.util
+import json
+import time
+from dataclasses import asdict
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+import httpx
+
+from api.deps import Services
+
+WRITE_DICOM = Path(__file__).parent.parent / "tests" / "worker" / "delivery" / "conftest.py"
+OF_EACH = 4
+PATIENCE_SECONDS = 60.0
+PROBABILITY = 0.5
+
+Values = dict[str, list[str]]
+
+PATHS = {
+    "^/v1/simulations/": {"identifier": "simulations", "name": "artifacts"},
+    "^/v1/studies/": {"identifier": "studies"},
+    "^/v1/phantoms/": {"sha256": "phantoms"},
+    "^/v1/destinations/": {"identifier": "destinations"},
+    "^/v1/deliveries/": {"identifier": "deliveries"},
+    "^/v1/webhooks/": {"identifier": "webhooks", "message_id": "messages"},
+    "^/v1/presets/": {"name": "presets"},
+    "^/dicomweb/studies/": {
+        "study": "dicom-studies",
+        "series": "dicom-series",
+        "instance": "dicom-instances",
+        "frames": "frames",
+        "where": "places",
+    },
+}
+"""Paths, and the dictionary of values of each of their parameters."""
+
+
+def make(http: httpx.Client, dicom_cases: list[str]) -> Values:
+    """Makes them on a service that carries cases out; the values by dictionary."""
+    found: Values = {name: [] for parameters in PATHS.values() for name in parameters.values()}
+    found |= {"frames": ["1"], "places": ["7FE00010"], "presets": ["tiny"], "artifacts": ["volume.dcm"]}
+    for number in range(OF_EACH):
+        found["simulations"].append(_post(http, "/v1/simulations", {"seed": number})["id"])
+        axes = [{"kind": "grid", "field": "seed", "values": [number, number + 1]}]
+        found["studies"].append(_post(http, "/v1/studies", {"axes": axes})["id"])
+        pacs = {"name": f"pacs-{number}", "host": "127.0.0.1", "port": 1, "called_aet": "PACS"}
+        found["destinations"].append(_post(http, "/v1/destinations", pacs)["id"])
+        hook = _post(http, "/v1/webhooks", {"url": "https://93.184.216.34/hook"})["id"]
+        found["webhooks"].append(hook)
+        found["messages"].append(_post(http, f"/v1/webhooks/{hook}/test", None)["id"])
+    _wait_until_all_have_succeeded(http, found["simulations"])
+    reading = {"raw": {"shape": [20, 20, 20], "spacing_mm": [1.0, 1.0, 1.0]}, "tissues": "tomosim"}
+    uploaded = http.post(
+        "/v1/phantoms",
+        params={"reading": json.dumps(reading)},
+        content=bytes([0, 1, 2, 1] * 2000),
+        headers={"Content-Type": "application/octet-stream"},
+    )
+    found["phantoms"].append(uploaded.raise_for_status().json()["sha256"])
+    for destination, case in zip(found["destinations"], dicom_cases, strict=True):
+        found["simulations"].append(case)
+        sent = {"destination": destination, "simulation_id": case}
+        found["deliveries"].append(_post(http, "/v1/deliveries", sent)["id"])
+    for entry in http.get("/dicomweb/instances").raise_for_status().json():
+        for name, tag in (("studies", "0020000D"), ("series", "0020000E"), ("instances", "00080018")):
+            found[f"dicom-{name}"] += [uid for uid in entry[tag]["Value"] if uid not in found[f"dicom-{name}"]]
+    return found
+
+
+def configuration(values: Values) -> str:
+    """What is added to the configuration of Schemathesis (TOML; its strings are those of JSON here)."""
+    lines = []
+    for name, known in values.items():
+        lines += [f"[dictionaries.{name}]", f"values = {json.dumps(known)}", ""]
+    for path, parameters in PATHS.items():
+        lines += ["[[operations]]", f"include-path-regex = {json.dumps(path)}", "[operations.parameters]"]
+        for parameter, name in parameters.items():
+            lines.append(f'"path.{parameter}" = {{ dictionary = "{name}", probability = {PROBABILITY} }}')
+        lines.append("")
+    return "\n".join(lines)
+
+
+def _post(http: httpx.Client, path: str, body: Any) -> Any:
+    return http.post(path, json=body).raise_for_status().json()
+
+
+def _wait_until_all_have_succeeded(http: httpx.Client, identifiers: list[str]) -> None:
+    deadline = time.monotonic() + PATIENCE_SECONDS
+    for identifier in identifiers:
+        while (state := http.get(f"/v1/simulations/{identifier}").json()["state"]) != "succeeded":
+            if time.monotonic() > deadline:
+                raise TimeoutError(f"simulation {identifier} is {state} after {PATIENCE_SECONDS:g} s")
+            time.sleep(0.05)
+
+
+def make_dicom_cases(http: httpx.Client, served: Services, folder: Path) -> list[str]:
+    """Cases whose files are DICOM objects that can be read. Before anybody else runs what is queued."""
+    needs = _post(http, "/v1/simulations/estimate", {})
+    made = []
+    for number in range(OF_EACH):
+        files = {}
+        for name in ("projections/0001.dcm", "projections/0002.dcm"):
+            path = folder / "made.dcm"
+            _dicom().write_dicom(path, number=len(files) + 1, seed=number, study=f"2.25.{number + 7}")
+            files[name] = asdict(served.store.add(path))
+        identifier = served.jobs.create({}, needs, "dicom").id
+        assert served.jobs.claim(identifier, "resources") is not None
+        assert served.jobs.succeed(identifier, "resources", {"files": files, "stages": [], "results": {}})
+        made.append(identifier)
+    return made
+
+
+def _dicom() -> ModuleType:
+    spec = importlib.util.spec_from_file_location("schemathesis_dicom", WRITE_DICOM)
+    assert spec is not None
+    assert spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
