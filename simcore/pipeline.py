@@ -14,8 +14,9 @@ import platform
 import sys
 import time
 from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import asdict, dataclass, field, replace
-from functools import cached_property
+from functools import cached_property, partial
 from importlib import metadata
 from pathlib import Path
 from typing import Any, Generic, Protocol, TypeVar
@@ -36,7 +37,7 @@ from simcore.spec import SimulationSpec
 STAGES = ("phantom", "mesh", "fem", "warp", "projection", "reconstruction", "dicom", "mechanics", "preview")
 
 # Raised whenever a stage gives other bytes for the same specification: old results then no longer match.
-VERSIONS = {**dict.fromkeys(STAGES, 1), "phantom": 2, "fem": 2, "projection": 2, "dicom": 2}
+VERSIONS = {**dict.fromkeys(STAGES, 1), "phantom": 2, "fem": 2, "projection": 2, "dicom": 3, "preview": 2}
 
 # Outputs that a client gets; the others (label volume, mesh, displacement, ...) stay in the store.
 PUBLIC_STAGES = ("dicom", "mechanics", "preview")
@@ -93,11 +94,12 @@ class CaseResult:
 
 @dataclass
 class _Run:
-    """Runs stages of one case against a store."""
+    """Runs stages of one case against a store. alone: no other stages of this process run at the same time."""
 
     store: Store
     tell: CaseProgress
     later: Commits
+    alone: bool = True
     records: list[StageResult[Any]] = field(default_factory=list)
 
     def stage(
@@ -136,7 +138,8 @@ class _Run:
         """One stage that writes files."""
 
         def compute(folder: Path, key: str) -> tuple[Report, float, int]:
-            memory.reset_peak()
+            if self.alone:
+                memory.reset_peak()
             start = time.perf_counter()
             report = work(folder, key, lambda fraction, message: self.tell(name, fraction, message))
             return report, time.perf_counter() - start, memory.peak_bytes()
@@ -148,6 +151,25 @@ class _Run:
         result: StageResult[Any] = StageResult(self.store, record, cached)
         self.records.append(result)
         return result
+
+    def both(self, first: Callable[[_Run], None], second: Callable[[_Run], None]) -> None:
+        """Runs stages of which none needs another at the same time, and tells of them in order, first ``first``.
+
+        second: on a thread of its own. It may start no parallel kernel, because numba's threads serve one caller.
+        """
+        told: list[Callable[[], None]] = []
+
+        def tell_later(stage: str, fraction: float, message: str, *, cached: bool = False) -> None:
+            told.append(partial(self.tell, stage, fraction, message, cached=cached))
+
+        beside = _Run(self.store, tell_later, self.later, alone=False)
+        with ThreadPoolExecutor(1, "beside") as pool:
+            running = pool.submit(second, beside)
+            first(self)
+        running.result()
+        for tell in told:
+            tell()
+        self.records += beside.records
 
     def leave_out(self, name: str) -> None:
         """Tells of a stage that this case has no use for."""
@@ -200,27 +222,33 @@ def _stages(case: _Run, spec: SimulationSpec) -> None:
         reconstruction=spec.reconstruction.title,
         attenuation_per_mm=projection.attenuation_per_mm(spec.physics),
     )
-    case.file_stage(
-        "dicom",
-        {"export": export.model_dump(), "case": asdict(description)},
-        {"projections": stack, "volume": volume, "phantom": warped, "compression": compressed},
-        lambda folder, _, p: _export(folder, export, description, stack, volume, warped, compressed, p),
-    )
-    if meshed is None:
-        case.leave_out("mechanics")
-    else:
+
+    def exported(case: _Run) -> None:
         case.file_stage(
-            "mechanics",
-            spec.compression.material.model_dump(),
-            {"phantom": grown, "mesh": meshed, "compression": compressed},
-            lambda folder, _, p: _mechanics(folder, spec.compression.material, grown, meshed, compressed),
+            "dicom",
+            {"export": export.model_dump(), "case": asdict(description)},
+            {"projections": stack, "volume": volume, "phantom": warped, "compression": compressed},
+            lambda folder, _, p: _export(folder, export, description, stack, volume, warped, compressed, p),
         )
-    case.file_stage(
-        "preview",
-        {},
-        {"phantom": grown, "compressed": warped, "projections": stack, "volume": volume},
-        lambda folder, key, p: _previews(folder, grown, warped, stack, volume),
-    )
+
+    def shown(case: _Run) -> None:
+        if meshed is None:
+            case.leave_out("mechanics")
+        else:
+            case.file_stage(
+                "mechanics",
+                spec.compression.material.model_dump(),
+                {"phantom": grown, "mesh": meshed, "compression": compressed},
+                lambda folder, _, p: _mechanics(folder, spec.compression.material, grown, meshed, compressed),
+            )
+        case.file_stage(
+            "preview",
+            {},
+            {"phantom": grown, "compressed": warped, "projections": stack, "volume": volume},
+            lambda folder, key, p: _previews(folder, grown, warped, stack, volume),
+        )
+
+    case.both(exported, shown)
 
 
 def _phantom(case: _Run, spec: SimulationSpec) -> StageResult[Phantom]:
@@ -327,6 +355,7 @@ def _export(
         warped.artifact,
         compressed.artifact,
         progress,
+        pixels=(stack.record.digest, volume.record.digest),
     )
     return {"files": len(names)}
 

@@ -6,6 +6,7 @@ or, in sections across y, z upright with the source on top. Equal input gives eq
 
 from __future__ import annotations
 
+import zlib
 from math import ceil
 from pathlib import Path
 from typing import Any
@@ -21,6 +22,8 @@ MAX_PIXELS = 1024
 """Longest side of a picture of one image, pixels."""
 GAP = 8
 """Distance of the images of a sheet, pixels."""
+MAX_EXACT = 256
+"""The sum of so many 16-bit numbers is a float32 without rounding."""
 
 Window = tuple[float, float]
 Grey = NDArray[np.uint8]
@@ -164,7 +167,13 @@ def _reduced(image: NDArray[Any], factor: int) -> NDArray[np.float32]:
     """Means over factor x factor pixels; a remainder at the far edges is left out."""
     down, across = min(factor, image.shape[0]), min(factor, image.shape[1])
     rows, columns = image.shape[0] // down, image.shape[1] // across
-    blocks = image[: rows * down, : columns * across].reshape(rows, down, columns, across)
+    image = image[: rows * down, : columns * across]
+    if image.dtype == np.uint16 and down * across <= MAX_EXACT:
+        # Sums of whole numbers that float32 holds exactly: the mean in it, several times faster.
+        sums = sum((image[row::down].astype(np.uint32) for row in range(1, down)), image[::down].astype(np.uint32))
+        sums = sum((sums[:, column::across] for column in range(1, across)), sums[:, ::across])
+        return np.asarray(sums.astype(np.float32) / np.float32(down * across))
+    blocks = image.reshape(rows, down, columns, across)
     return np.asarray(blocks.mean(axis=(1, 3), dtype=np.float32))
 
 
@@ -195,4 +204,5 @@ def _side_by_side(pictures: list[Grey]) -> Grey:
 
 def _save(picture: Grey, path: Path) -> None:
     path.parent.mkdir(parents=True, exist_ok=True)
-    Image.fromarray(np.ascontiguousarray(picture)).save(path, format="PNG", compress_level=6)
+    # Runs alone, no search for repeated strings: a third of the time, and on these pictures fewer bytes.
+    Image.fromarray(np.ascontiguousarray(picture)).save(path, format="PNG", compress_level=6, compress_type=zlib.Z_RLE)

@@ -26,7 +26,7 @@ import shutil
 import socket
 import tempfile
 from collections.abc import Callable, Iterator
-from concurrent.futures import Future, ThreadPoolExecutor
+from concurrent.futures import Future, ThreadPoolExecutor, wait
 from dataclasses import asdict, dataclass, field
 from functools import partial
 from pathlib import Path
@@ -84,6 +84,14 @@ def file_ref(path: Path) -> FileRef:
     return FileRef(file_digest(path), path.stat().st_size)
 
 
+def file_refs(paths: dict[str, Path]) -> dict[str, FileRef]:
+    """Digest and size of every file, by name; two at a time, for hashing leaves the interpreter to others."""
+    with ThreadPoolExecutor(2, "hash") as pool:
+        largest_first = sorted(paths, key=lambda name: -paths[name].stat().st_size)
+        found = {name: pool.submit(file_ref, paths[name]) for name in largest_first}
+        return {name: found[name].result() for name in paths}
+
+
 @dataclass(frozen=True)
 class StageRecord:
     """What one run of one stage made."""
@@ -110,6 +118,11 @@ class StageRecord:
 def stage_key(stage: str, version: int, parameters: Any, inputs: dict[str, str]) -> str:
     """Key of a stage: its name and version, its own part of the specification, the digests of its inputs."""
     return digest({"stage": stage, "version": version, "parameters": parameters, "inputs": inputs})
+
+
+def _sync_file(path: Path) -> None:
+    with open(path, "rb") as f:
+        os.fsync(f.fileno())
 
 
 def _sync_folder(path: Path) -> None:
@@ -267,8 +280,7 @@ class Store:
                 path.unlink()
                 os.utime(target)
                 return ref
-        with open(path, "rb") as f:
-            os.fsync(f.fileno())
+        _sync_file(path)
         path.chmod(0o444)
         path.replace(target)
         _sync_folder(target.parent)
@@ -312,13 +324,30 @@ class Store:
             folder = held.enter_context(self.workspace())
             report, seconds, peak = compute(folder, key)
             names = sorted(p.relative_to(folder).as_posix() for p in folder.rglob("*") if p.is_file())
-            outputs = {name: file_ref(folder / name) for name in names}
+            paths = {name: folder / name for name in names}
+            hashed: Future[StageRecord] = Future()
+            large = sum(p.stat().st_size for p in paths.values()) >= LARGE_BYTES
+            if later is not None and large:
+                later.take(partial(self._sync_and_commit, list(paths.values()), hashed, folder), held.pop_all())
+            try:
+                outputs = file_refs(paths)
+            except BaseException as error:
+                hashed.set_exception(error)
+                raise
             record = StageRecord(stage, version, key, outputs, report, round(seconds, 4), peak)
-            if later is None or sum(ref.size for ref in outputs.values()) < LARGE_BYTES:
+            if later is None or not large:
                 self.commit(record, folder)
-            else:
-                later.take(partial(self.commit, record, folder), held.pop_all())
+            hashed.set_result(record)
             return record, False
+
+    def _sync_and_commit(self, paths: list[Path], hashed: Future[StageRecord], folder: Path) -> None:
+        """As ``commit``, for files that are still being hashed: meanwhile the disk takes them."""
+        try:
+            for path in paths:
+                _sync_file(path)
+        finally:
+            wait([hashed])  # who hashes needs the files, even where the disk does not take them
+        self.commit(hashed.result(), folder)
 
     def remove_workspaces(self, process: int) -> None:
         """Removes what a process of this machine left in tmp/; for whoever has just killed it."""

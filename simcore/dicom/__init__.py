@@ -21,6 +21,7 @@ def export(
     compressed: Phantom,
     compression: Compression,
     progress: Progress = silent,
+    pixels: tuple[str, str] | None = None,
 ) -> list[str]:
     """Write a case below ``folder`` (made where missing) and return the relative names of the files.
 
@@ -32,6 +33,8 @@ def export(
     truth.csv                 the lesions as boxes; see simcore.dicom.truth_table
     and what spec.extra_objects asks for; see simcore.dicom.extras
 
+    pixels: digests that tell the content of ``stack`` and of ``volume``, where they are known; computed where not.
+
     Rows of all images run along x, columns along y. The arrays may be memory maps; pixel data is streamed, so next
     to nothing is held beside them. Nothing depends on the clock: equal arguments give equal bytes.
     raises: ExportError where the data does not fit the format; OSError.
@@ -39,4 +42,4 @@ def export(
     # Here and not above: the specification is read where nothing may load compiled code.
     from simcore.dicom.writing import write_study
 
-    return write_study(folder, spec, case, stack, volume, compressed, compression, progress)
+    return write_study(folder, spec, case, stack, volume, compressed, compression, progress, pixels)

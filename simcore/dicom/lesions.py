@@ -91,12 +91,16 @@ def find_lesions(phantom: Phantom, lift: float, volume: Grid) -> tuple[Lesion, .
     return tuple(found)
 
 
+_NOWHERE = np.empty(0, np.int64)
+
+
 def _voxels_of(labels: NDArray[np.uint8], tissue: Tissue) -> Indices:
     """Indices (z, y, x), ordered."""
     columns = labels.shape[2]
     found = []
     for k, plane in enumerate(labels):
-        flat = np.flatnonzero(plane == tissue)
+        # Most phantoms hold nothing beyond the tissues of every breast, and a maximum is found at the speed of memory.
+        flat = np.flatnonzero(plane == np.uint8(tissue)) if plane.max(initial=0) >= tissue else _NOWHERE
         found.append(np.stack([np.full(len(flat), k), flat // columns, flat % columns], axis=1))
     return np.concatenate(found).astype(np.int64)
 

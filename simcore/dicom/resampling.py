@@ -16,6 +16,9 @@ from simcore.core.artifacts import Phantom
 from simcore.core.grid import Grid
 from simcore.dicom.run_length import header, pack_row, packed_length
 
+BLOCK = 16
+"""Rows that one thread samples one after the other."""
+
 
 @dataclass(frozen=True)
 class Lookup:
@@ -61,16 +64,30 @@ def _encode_plane(
     met: NDArray[np.uint32],
 ) -> None:
     """Sample one plane (ny, nx) of labels and pack its rows: row j into packed[j, :sizes[j]], tissues as bits."""
-    for j in prange(y.size):
+    first, stop = 0, x.size
+    while first < stop and x[first] < 0:
+        first += 1
+    while stop > first and x[stop - 1] < 0:
+        stop -= 1
+    for block in prange((y.size + BLOCK - 1) // BLOCK):
         row = np.zeros(x.size, np.uint8)
-        bits = np.uint32(0)
-        if y[j] >= 0:
-            for i in range(x.size):
-                if x[i] >= 0:
-                    row[i] = labels[y[j], x[i]]
-                bits |= np.uint32(1) << np.uint32(row[i])
-        met[j] |= bits
-        sizes[j] = pack_row(row, packed[j])
+        for j in range(block * BLOCK, min((block + 1) * BLOCK, y.size)):
+            if j > block * BLOCK and y[j] == y[j - 1]:
+                # Pixels are smaller than voxels: rows come in runs of the same.
+                packed[j, : sizes[j - 1]] = packed[j - 1, : sizes[j - 1]]
+                sizes[j] = sizes[j - 1]
+                met[j] |= met[j - 1]
+                continue
+            bits = np.uint32(0)
+            if y[j] >= 0:
+                source = labels[y[j]]
+                for i in range(first, stop):
+                    row[i] = source[x[i]]
+                    bits |= np.uint32(1) << np.uint32(row[i])
+            else:
+                row[:] = 0
+            met[j] |= bits
+            sizes[j] = pack_row(row, packed[j])
 
 
 @njit(cache=True)

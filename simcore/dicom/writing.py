@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from concurrent.futures import ThreadPoolExecutor
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -43,18 +42,16 @@ def write_study(
     compressed: Phantom,
     compression: Compression,
     progress: Progress,
+    pixels: tuple[str, str] | None,
 ) -> list[str]:
     """As ``simcore.dicom.export``."""
     _check(case, stack, volume)
     lookup = nearest(compressed.grid.moved(z=stack.geometry.support_height), volume.grid)
     progress(0.0, "labels and digests")
-    with ThreadPoolExecutor(1) as pool:
-        # hashlib releases the interpreter lock, so the digests cost next to no time beside the labels.
-        digests = pool.submit(lambda: (array_digest(stack.data), array_digest(volume.data)))
-        encoded = encode_labels(compressed, lookup)
-        volume_window = _volume_window(volume, compressed, lookup)
-        lesions = find_lesions(compressed, stack.geometry.support_height, volume.grid)
-        projection_digest, volume_digest = digests.result()
+    projection_digest, volume_digest = pixels or (array_digest(stack.data), array_digest(volume.data))
+    encoded = encode_labels(compressed, lookup)
+    volume_window = _volume_window(volume, compressed, lookup)
+    lesions = find_lesions(compressed, stack.geometry.support_height, volume.grid)
     facts = {
         "export": spec.model_dump(),
         "projections": projection_digest,

@@ -45,10 +45,16 @@ def attenuation(integral: float) -> float:
 @numba.njit(parallel=True, cache=True, error_model="numpy")
 def _pixel_values(integrals: NDArray[np.float32], open_field: float, largest: float, out: NDArray[np.uint16]) -> None:
     ny, nx = integrals.shape
+    beside = int(min(open_field * attenuation(0.0) + 0.5, largest))
     for j in numba.prange(ny):
-        for i in range(nx):
+        # Beyond the nipple lies air, more than half of a detector.
+        end = nx
+        while end > 0 and integrals[j, end - 1] <= np.float32(0.0):
+            end -= 1
+        for i in range(end):
             integral = min(max(float(integrals[j, i]), 0.0), LARGEST)
             out[j, i] = int(min(open_field * attenuation(integral) + 0.5, largest))
+        out[j, end:] = beside
 
 
 @numba.njit(parallel=True, cache=True, error_model="numpy")

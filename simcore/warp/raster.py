@@ -17,6 +17,7 @@ from simcore.warp.maps import TetMaps
 from simcore.warp.pieces import Pieces
 
 SLAB_ROWS = 8
+EACH_BYTE = np.uint64(0x0101010101010101)
 FLAT = 1e-11
 """A weight that changes less than this from voxel to voxel along x counts as constant along x."""
 
@@ -163,39 +164,57 @@ def _spans(start: float, change: float, size: int) -> bool:
     return min(start, start + change) >= 0.0 and max(start, start + change) < size
 
 
+def census(labels: NDArray[np.uint8]) -> NDArray[np.int64]:
+    """Voxels of every label, int64 (MAX_TISSUES,)."""
+    counts: NDArray[np.int64] = _census(labels).sum(axis=0)
+    return counts
+
+
 @numba.njit(parallel=True, cache=True)
-def census(labels: NDArray[np.uint8]) -> tuple[NDArray[np.int64], int]:
-    """(voxels of every label (MAX_TISSUES,), air voxels with tissue on all six sides)."""
+def _census(labels: NDArray[np.uint8]) -> NDArray[np.int64]:
     nz, ny, nx = labels.shape
     counts = np.zeros((nz, MAX_TISSUES), np.int64)
-    holes = np.zeros(nz, np.int64)
+    whole = nx - nx % 8
     for k in numba.prange(nz):
-        # Four tables in turn: neighbours are often alike, and no addition need wait for the one before.
-        tables = np.zeros((4, 256), np.int64)
+        table = np.zeros(256, np.int64)
         for j in range(ny):
             row = labels[k, j]
-            whole = nx - nx % 4
-            for i in range(0, whole, 4):
-                tables[0, row[i]] += 1
-                tables[1, row[i + 1]] += 1
-                tables[2, row[i + 2]] += 1
-                tables[3, row[i + 3]] += 1
+            # Neighbours are mostly alike: eight of them are one comparison.
+            for n, word in enumerate(row[:whole].view(np.uint64)):
+                if word == (word & np.uint64(255)) * EACH_BYTE:
+                    table[word & np.uint64(255)] += 8
+                else:
+                    for i in range(8 * n, 8 * n + 8):
+                        table[row[i]] += 1
             for i in range(whole, nx):
-                tables[0, row[i]] += 1
-            if 0 < k < nz - 1 and 0 < j < ny - 1:
-                holes[k] += _holes(labels, k, j)
-        for label in range(MAX_TISSUES):
-            counts[k, label] = tables[:, label].sum()
-    return counts.sum(axis=0), holes.sum()
+                table[row[i]] += 1
+        counts[k] = table[:MAX_TISSUES]
+    return counts
+
+
+@numba.njit(parallel=True, cache=True)
+def count_holes(labels: NDArray[np.uint8]) -> int:
+    """Air voxels with tissue on all six sides."""
+    nz, ny, nx = labels.shape
+    found = np.zeros(nz, np.int64)
+    whole = nx - nx % 8
+    for k in numba.prange(1, nz - 1):
+        for j in range(1, ny - 1):
+            for n, word in enumerate(labels[k, j, :whole].view(np.uint64)):
+                # All air, or no byte of it: most rows have nothing in between.
+                if word != 0 and (word - EACH_BYTE) & ~word & (EACH_BYTE << np.uint64(7)):
+                    found[k] += _holes(labels, k, j, max(8 * n, 1), min(8 * n + 8, nx - 1))
+            found[k] += _holes(labels, k, j, max(whole, 1), nx - 1)
+    return int(found.sum())
 
 
 @numba.njit(cache=True)
-def _holes(labels: NDArray[np.uint8], k: int, j: int) -> int:
-    """Holes of one voxel in an inner row."""
-    row, nearer, farther = labels[k, j], labels[k, j - 1], labels[k, j + 1]
-    below, above = labels[k - 1, j], labels[k + 1, j]
+def _holes(labels: NDArray[np.uint8], k: int, j: int, first: int, stop: int) -> int:
+    """Holes of one voxel among the voxels first..stop - 1 of an inner row, none at its ends."""
     found = 0
-    for i in range(1, len(row) - 1):
-        lone = (row[i] == 0) & (row[i - 1] != 0) & (row[i + 1] != 0) & (below[i] != 0) & (above[i] != 0)
-        found += lone & (nearer[i] != 0) & (farther[i] != 0)
+    for i in range(first, stop):
+        if labels[k, j, i] == 0:
+            along_x = labels[k, j, i - 1] != 0 and labels[k, j, i + 1] != 0
+            along_y = labels[k, j - 1, i] != 0 and labels[k, j + 1, i] != 0
+            found += along_x and along_y and labels[k - 1, j, i] != 0 and labels[k + 1, j, i] != 0
     return found

@@ -13,7 +13,7 @@ from simcore.core.progress import Progress
 from simcore.core.tissues import Tissue
 from simcore.warp.maps import tet_maps
 from simcore.warp.pieces import interior, skirt
-from simcore.warp.raster import census, rasterise
+from simcore.warp.raster import census, count_holes, rasterise
 from simcore.warp.spec import WarpSpec
 from simcore.warp.truth import carried
 
@@ -35,8 +35,7 @@ def deform_phantom(
     if spec.skirt_mm > 0:
         progress(0.8, "skin outside the mesh")
         added = rasterise(skirt(mesh, maps, grid, spec.skirt_mm, levels), maps, phantom.labels, labels)
-    counts, holes = census(labels)
-    before, _ = census(phantom.labels)
+    counts, before = census(labels), census(phantom.labels)
     progress(1.0, f"{int(counts[1:].sum())} voxels of tissue")
     voxel_ml = grid.voxel_volume * 1e-3
     return Phantom(
@@ -50,7 +49,7 @@ def deform_phantom(
             "tissue_after_ml": _by_name(counts, voxel_ml),
             "mesh_volume_ml": float(np.sum(1.0 / np.abs(np.linalg.det(maps.barycentric[:, 1:, 1:])))) / 6 * voxel_ml,
             "skirt_ml": int(added) * voxel_ml,
-            "holes": int(holes),
+            "holes": count_holes(labels),
             "grid": grid.to_dict(),
         },
     )
