@@ -6,6 +6,7 @@ import shutil
 import signal
 import socket
 import subprocess
+import sys
 import threading
 import time
 from contextlib import contextmanager
@@ -206,7 +207,10 @@ class StoreScp:
 @pytest.fixture
 def storescp(tmp_path):
     """Starts storescp with the given options; skipped where dcmtk is not installed."""
-    if not shutil.which("storescp"):
+    # Not pynetdicom's command of the same name, which an activated environment puts first.
+    folders = [f for f in os.environ["PATH"].split(os.pathsep) if Path(f) != Path(sys.prefix, "bin")]
+    found = shutil.which("storescp", path=os.pathsep.join(folders))
+    if not found:
         pytest.skip("needs dcmtk's storescp: the Debian package dcmtk")
     running = []
 
@@ -218,7 +222,7 @@ def storescp(tmp_path):
         log = tmp_path / f"storescp{number}.log"
         # Uncompressed transfer syntaxes alone, unless told otherwise.
         classes = [] if "-xf" in options else ["-pm"]
-        command = ["storescp", "-v", "-aet", "PEER", "-od", str(folder), *classes, *options, str(port)]
+        command = [found, "-v", "-aet", "PEER", "-od", str(folder), *classes, *options, str(port)]
         context = program(command, log, lambda: listens(port))
         running.append(context)
         return StoreScp(port, folder, context.__enter__(), log)
