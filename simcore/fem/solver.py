@@ -24,12 +24,15 @@ _CG_TOLERANCE = 3e-3
 """How exactly linear systems are solved. At 1e-2 Newton's method takes two or three iterations more, at 1e-3 none
 less, but half as many products again."""
 _EXACT_CG_TOLERANCE = 1e-4
-_NEAR = 1e-3
-"""Residual below which they are solved exactly: the last iteration must find a direction in which the breast would
-buckle."""
+_STABILITY_TOLERANCE = 1e-3
+BOLDEST = 0.15
+"""Share of the thickness that a load step may take where the tangent was not positive on the way: Newton's method may
+have gone past a bifurcation, and a longer step does not tell."""
 LONGEST_WAY = 1.75
-"""What a node may move in a load step, relative to the plates, where the tangent was not positive on the way: more is
-a jump to another equilibrium. Smooth compressions stay at 1, and below 1.7 with friction."""
+"""What a node may move in such a step, relative to the plates: more is a jump to another equilibrium, a breast that
+rolls aside. Smooth compressions stay at 1, and below 1.7 with friction."""
+SHORTEST_JUMP = 0.01
+"""Share of the thickness that nodes may move beyond that: skin that folds snaps by less, however short the step."""
 _STALLED = 0.8
 """A residual that does not fall below this share of the last one, with the contact at rest, calls for half a step:
 Newton's method can swing to and fro across the kink where skin begins to wrinkle."""
@@ -160,16 +163,15 @@ class Solver:
                 if contact.relative_pull(force, plates) > MAX_PULL:
                     contact = contact.new_load_step()
                     continue
-                if not definite and not self._stable(self._tangent(system, compliance), constraints):
+                if not self._stable(self._tangent(system, compliance), constraints):
                     raise StepFailed("unstable-equilibrium")
-                if wavered and self._jumped(state, u, plates):
+                if wavered and self._lost_the_path(state, u, plates):
                     raise StepFailed("unstable-equilibrium")
                 carried = force if self.friction is None else model.internal_force(u, p)
                 low, high = contact.forces(carried[:, 2])
                 return State(u, p, contact, plates, slip), LoadStep(np.nan, low, high, residual, iteration)
             tangent = self._tangent(system, compliance)
-            near = residual < _NEAR and iteration > 0
-            exactness = _EXACT_CG_TOLERANCE if near or iteration >= _EXACT_FROM else _CG_TOLERANCE
+            exactness = _CG_TOLERANCE if iteration < _EXACT_FROM else _EXACT_CG_TOLERANCE
             du, dp, definite = self._direction(tangent, force, volume_residual, constraints, gap, exactness)
             wavered = wavered or not definite
             length = self._step_length(u, du)
@@ -182,19 +184,26 @@ class Solver:
         return Tangent.of(self.model.pattern, system, 1 / (self.model.node_volume * compliance))
 
     def _stable(self, tangent: Tangent, constraints: Constraints) -> bool:
-        """Whether the tangent is positive along the directions that answer a load on every degree of freedom."""
-        load = np.cos(np.arange(constraints.free.size, dtype=np.float64)).reshape(-1, 3)
-        return tangent.solve(load, constraints, self.guard, _EXACT_CG_TOLERANCE).definite
+        """Whether the tangent is positive along the directions that answer a smooth load without symmetry: a breast
+        that would sway or roll is one whose symmetric equilibrium looks well to every symmetric load."""
+        nodes = self.model.nodes
+        x, y, z = ((nodes - nodes.mean(axis=0)) / np.ptp(nodes, axis=0)).T
+        load = self.model.node_volume[:, None] * np.stack([1 + y - z + x * y, 1 + x + z * z - y, x - y + y * z], axis=1)
+        return tangent.solve(load, constraints, self.guard, _STABILITY_TOLERANCE).definite
 
-    def _jumped(self, before: State, u: Floats, plates: Plates) -> bool:
-        """Whether nodes moved much further than the plates, as those of a breast do that buckles aside."""
+    def _lost_the_path(self, before: State, u: Floats, plates: Plates) -> bool:
+        """Whether a step on whose way the tangent was not positive may have ended on another branch of equilibria."""
         was = before.plates or Plates.at(self.model.nodes[:, 2], 0.0)
+        closed = was.upper - was.lower - (plates.upper - plates.lower)
+        height = float(np.ptp(self.model.nodes[:, 2]))
+        if closed > BOLDEST * height:
+            return True
         points = self.model.nodes + u
         travel = max(
             float(np.abs(now - then).max())
             for now, then in zip(plates.heights(points), was.heights(points), strict=True)
         )
-        return float(np.abs(u - before.displacement).max()) > LONGEST_WAY * travel
+        return float(np.abs(u - before.displacement).max()) > LONGEST_WAY * travel + SHORTEST_JUMP * height
 
     def with_friction(self, state: State, force: Floats) -> Floats:
         """``force`` (n, 3), the internal one less the dead load, and the resistance of friction, N."""

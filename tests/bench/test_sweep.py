@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from bench._bodies import C_CUP, ONE_TISSUE, ellipsoid_labels, scaled_to
-from bench.sweep import Subject, disagreement, draw, faults, with_gland
+from bench.sweep import VOXEL_MM, Subject, disagreement, draw, faults, stands_where_wider, with_gland
 from simcore.core.artifacts import Compression, TetMesh
 from simcore.core.tissues import Tissue
 from simcore.fem import CompressionSpec, compress
@@ -93,3 +93,12 @@ def test_gland_lies_inside() -> None:
     assert plain.labels.sum() * 1.5**3 / 1e3 == pytest.approx(450.0, rel=0.01)
     assert ((labels > 0) == (plain.labels > 0)).all()
     assert (labels == Tissue.GLAND).sum() / (labels > 0).sum() == pytest.approx(0.7**3, rel=0.05)
+
+
+def test_a_refused_breast_counts_as_buckled_only_where_being_slender_is_the_reason() -> None:
+    axes = (80.0, 40.0, 70.0, 60.0)
+    narrow = Subject("narrow", half_ellipsoid(axes, 8), with_gland(ellipsoid_labels(axes, VOXEL_MM), axes))
+    assert stands_where_wider(narrow, CompressionSpec(percent=60.0))
+    assert not stands_where_wider(narrow, CompressionSpec(percent=60.0, force_limit_N=1.0))
+    wide = Subject("wide", half_ellipsoid((80.0, 70.0, 60.0, 60.0), 8), narrow.phantom)
+    assert not stands_where_wider(wide, CompressionSpec(percent=60.0))

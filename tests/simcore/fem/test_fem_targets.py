@@ -91,6 +91,17 @@ def test_force_limit_names_the_last_good_state(mesh: TetMesh, halved: Compressio
     )
 
 
+@pytest.mark.parametrize("load_steps", [1, 6])
+def test_a_narrow_breast_that_rolls_aside_is_refused_whatever_the_load_steps(load_steps: int) -> None:
+    """130 mm high and 80 mm wide: in the end the symmetric equilibrium is unstable and there are two mirrored ones
+    beside it; which one a long step ends in is chance."""
+    narrow = half_ellipsoid((80.0, 40.0, 70.0, 60.0), 10)
+    with pytest.raises(CompressionFailed, match="buckle") as error:
+        compress(narrow, ANY_PHANTOM, CompressionSpec(percent=70.0, load_steps=load_steps))
+    assert error.value.code == "unstable-equilibrium"
+    assert 60 < error.value.percent < 69
+
+
 def test_a_slender_column_is_refused_where_it_buckles() -> None:
     """Euler's strain between plates, 4 pi^2/12 (width/length)^2 = 3.3 %; two elements across are stiffer in bending."""
     column = box((6.0, 6.0, 60.0), (2, 2, 20))
