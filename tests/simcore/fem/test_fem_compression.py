@@ -107,7 +107,7 @@ def test_forces_converge_with_the_mesh_and_do_not_lock() -> None:
 
 
 def test_a_tall_breast_does_not_roll() -> None:
-    result = compress(half_ellipsoid((60.0, 25.0, 70.0, 50.0), 6), ANY_PHANTOM, CompressionSpec(percent=40.0))
+    result = compress(half_ellipsoid((60.0, 25.0, 70.0, 50.0), 6), ANY_PHANTOM, CompressionSpec(percent=36.0))
     assert np.abs(result.displacement[:, 1].mean()) < 0.05
 
 
