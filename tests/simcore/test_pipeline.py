@@ -183,6 +183,66 @@ def test_a_failing_stage_keeps_what_was_computed(first, monkeypatch):
     assert [s["name"] for s in result.manifest["stages"] if not s["cached"]] == ["reconstruction"]
 
 
+def test_stages_are_told_in_order_though_some_run_beside_others(first):
+    forget(first.store, {"dicom", "mechanics", "preview"})
+    told = []
+    result = pipeline.run(SPEC, first.store, lambda stage, fraction, message, *, cached=False: told.append(stage))
+    assert result.manifest["computed_stages"] == 3
+    assert list(dict.fromkeys(told)) == list(pipeline.STAGES)
+    assert told == sorted(told, key=pipeline.STAGES.index)
+
+
+def test_what_runs_beside_a_failing_stage_is_kept(first, monkeypatch):
+    forget(first.store, {"dicom", "mechanics", "preview"})
+
+    def fail(*arguments, **keywords):
+        raise SimulationError("no files today")
+
+    monkeypatch.setattr(pipeline.dicom, "export", fail)
+    with pytest.raises(SimulationError, match="no files"):
+        pipeline.run(SPEC, first.store)
+    monkeypatch.undo()
+    assert cached(pipeline.run(SPEC, first.store)) == [s for s in pipeline.STAGES if s != "dicom"]
+    monkeypatch.setattr(pipeline.preview, "write_previews", fail)
+    forget(first.store, {"dicom", "preview"})
+    with pytest.raises(SimulationError, match="no files"):
+        pipeline.run(SPEC, first.store)
+    monkeypatch.undo()
+    assert cached(pipeline.run(SPEC, first.store)) == [s for s in pipeline.STAGES if s != "preview"]
+
+
+BUSY = """
+import sys, threading
+import numba, numpy as np
+from simcore import pipeline, presets
+from simcore.core.store import Store
+
+@numba.njit(parallel=True)
+def busy(values):
+    for i in numba.prange(values.size):
+        values[i] = np.sqrt(values[i] + 1.0)
+
+busy(np.ones(1000))
+ended = threading.Event()
+def work():
+    while not ended.is_set():
+        busy(np.ones(300_000))
+other = threading.Thread(target=work)
+other.start()
+result = pipeline.run(presets.get("tiny"), Store(sys.argv[1], min_free_bytes=0))
+ended.set()
+other.join()
+assert result.manifest["computed_stages"] == 2, result.manifest["computed_stages"]
+"""
+
+
+def test_mechanics_and_pictures_start_no_parallel_kernel(first):
+    """They run beside the export; numba ends the process where two threads start parallel kernels at a time."""
+    forget(first.store, {"mechanics", "preview"})
+    done = subprocess.run([sys.executable, "-c", BUSY, str(first.store.root)], capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+
+
 def test_a_killed_run_continues_after_its_last_whole_stage(first, tmp_path):
     spec = tmp_path / "spec.json"
     spec.write_text(SPEC.with_(seed=77).model_dump_json())

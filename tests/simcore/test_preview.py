@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
+from simcore import preview
 from simcore.core.artifacts import Phantom, ProjectionStack, Volume
 from simcore.core.geometry import AcquisitionGeometry, Detector
 from simcore.core.grid import Grid
@@ -117,6 +118,12 @@ def test_large_images_are_reduced_and_constant_ones_do_no_harm(tmp_path):
     np.testing.assert_array_equal(read(tmp_path / "window.png"), [[0, 128, 255]])
     phantom_png(np.full((3000, 10), Tissue.GLAND, np.uint8), tmp_path / "label.png")
     assert np.all(read(tmp_path / "label.png") == TISSUE_GREY[Tissue.GLAND])
+
+
+@pytest.mark.parametrize("factor", [1, 2, 3, 5])
+def test_whole_numbers_have_the_same_means_as_floats(factor):
+    image = np.random.default_rng(factor).integers(0, 65536, (31, 47), dtype=np.uint16)
+    np.testing.assert_array_equal(preview._reduced(image, factor), preview._reduced(image.astype(np.float32), factor))
 
 
 def test_one_view_and_one_slice(tmp_path):

@@ -10,8 +10,9 @@ from scipy.spatial import Delaunay
 from simcore.core.artifacts import Compression, Phantom, TetMesh
 from simcore.core.errors import MeshError, SolverError
 from simcore.core.grid import Grid
-from simcore.core.tissues import Tissue
+from simcore.core.tissues import MAX_TISSUES, Tissue
 from simcore.warp import WarpSpec, deform
+from simcore.warp.raster import census, count_holes
 
 NO_SKIRT = WarpSpec(skirt_mm=0.0)
 
@@ -290,6 +291,22 @@ def test_same_bytes_for_any_number_of_threads():
     finally:
         numba.set_num_threads(before)
     assert found[0] == found[1]
+
+
+@pytest.mark.parametrize("width", [3, 8, 21])
+def test_labels_and_holes_are_counted(width):
+    rng = np.random.default_rng(width)
+    labels = rng.integers(1, 5, (6, 7, width)).astype(np.uint8)
+    labels[rng.random(labels.shape) < 0.05] = 0
+    labels[:3, :, width // 2 :] = 1
+    labels[4, 2:] = 0
+    inner = labels[1:-1, 1:-1, 1:-1] == 0
+    for axis in range(3):
+        for shift in (-1, 1):
+            inner = inner & (np.roll(labels, shift, axis)[1:-1, 1:-1, 1:-1] != 0)
+    np.testing.assert_array_equal(census(labels), np.bincount(labels.ravel(), minlength=MAX_TISSUES))
+    assert count_holes(labels) == inner.sum()
+    assert width == 3 or inner.any()
 
 
 def test_progress_reaches_one():
