@@ -175,6 +175,8 @@ class Solver:
             du, dp, definite = self._direction(tangent, force, volume_residual, constraints, gap, exactness)
             wavered = wavered or not definite
             length = self._step_length(u, du)
+            if length < SHORTEST_STEP:
+                raise StepFailed("unstable-equilibrium" if wavered else "inverted-element")
             length *= pace.length
             u, p = u + length * du, p + length * dp
             self.counters.newton += 1
@@ -257,13 +259,12 @@ class Solver:
         return du, tangent.apply(du)[1] + pressure_part, solved.definite
 
     def _step_length(self, u: Floats, du: Floats) -> float:
-        """The longest of 1, 0.6, 0.36, ... that leaves every element its share of volume. raises: StepFailed"""
+        """The longest of 1, 0.6, 0.36, ... that leaves every element its share of volume; less than SHORTEST_STEP where
+        none does."""
         tets, gradients = self.model.tets, self.model.gradients
         length = 1.0
-        while not keeps_volume(u, du, length, tets, gradients, SMALLEST_VOLUME_STEP):
+        while length >= SHORTEST_STEP and not keeps_volume(u, du, length, tets, gradients, SMALLEST_VOLUME_STEP):
             length *= 0.6
-            if length < SHORTEST_STEP:
-                raise StepFailed("inverted-element")
         return length
 
 
