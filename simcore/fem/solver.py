@@ -25,6 +25,7 @@ _CG_TOLERANCE = 3e-3
 less, but half as many products again."""
 _EXACT_CG_TOLERANCE = 1e-4
 _STABILITY_TOLERANCE = 1e-3
+"""Of the linear system that tries an equilibrium: soft directions are among the last that it finds."""
 BOLDEST = 0.15
 """Share of the thickness that a load step may take where the tangent was not positive on the way: Newton's method may
 have gone past a bifurcation, and a longer step does not tell."""
