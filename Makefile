@@ -54,13 +54,16 @@ format: install-dev
 PRODUCTION_IN_SHORT := $(addprefix tests/,api/test_api_studies.py api/test_api_idempotency.py api/test_api_retention.py \
 	worker/test_supervisor.py)
 
+# Files of tests share the cores: many wait for services most of their time.
+PYTEST := $(BIN)/python -m pytest -n auto --maxprocesses 4 --dist loadfile
+
 test: lint
-	$(BIN)/python -m pytest $(PYTEST_ARGS)
-	$(if $(PYTEST_ARGS),,$(BIN)/python -m pytest --production $(PRODUCTION_IN_SHORT))
+	$(PYTEST) $(PYTEST_ARGS)
+	$(if $(PYTEST_ARGS),,$(PYTEST) --production $(PRODUCTION_IN_SHORT))
 
 # The same tests of the service on PostgreSQL, redis-server and S3: all that can tell the difference (tests/conftest.py).
 test-production: install-dev
-	$(BIN)/python -m pytest --production $(PYTEST_ARGS) tests/api tests/worker tests/tomosim
+	$(PYTEST) --production $(PYTEST_ARGS) tests/api tests/worker tests/tomosim
 
 $(VENV)/.installed-bench: $(VENV)/.installed-dev requirements-bench.lock
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --require-hashes -r requirements-bench.lock
