@@ -13,26 +13,24 @@ import json
 import platform
 import sys
 import time
-from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor
-from dataclasses import asdict, dataclass, field, replace
-from functools import cached_property, partial
+from dataclasses import asdict, dataclass, replace
 from importlib import metadata
 from pathlib import Path
-from typing import Any, Generic, Protocol, TypeVar
+from typing import Any
 
 import numpy as np
 
 from simcore import __version__, dicom, fem, mesh, phantom, preview, projection, reconstruction, warp
-from simcore.core import files, memory
+from simcore.core import files
 from simcore.core.artifacts import Compression, Phantom, ProjectionStack, Report, TetMesh, Volume
 from simcore.core.progress import Progress
-from simcore.core.store import Commits, FileRef, StageRecord, Store, canonical, digest
+from simcore.core.store import Commits, FileRef, Hashing, Store, canonical, digest
 from simcore.dicom.spec import ExportSpec
 from simcore.fem.materials import MaterialSpec
 from simcore.phantom.upload import registry
 from simcore.phantom.upload.spec import UploadedPhantom
 from simcore.spec import SimulationSpec
+from simcore.stages import Beside, CaseProgress, Run, StageResult, silent
 
 STAGES = ("phantom", "mesh", "fem", "warp", "projection", "reconstruction", "dicom", "mechanics", "preview")
 
@@ -42,38 +40,6 @@ VERSIONS = {**dict.fromkeys(STAGES, 1), "phantom": 2, "fem": 2, "projection": 2,
 # Outputs that a client gets; the others (label volume, mesh, displacement, ...) stay in the store.
 PUBLIC_STAGES = ("dicom", "mechanics", "preview")
 PUBLIC_FILES = ("geometry.json",)
-
-
-class CaseProgress(Protocol):
-    """Told of every step: ``fraction`` of the stage in [0, 1]; ``cached`` where nothing had to be computed."""
-
-    def __call__(self, stage: str, fraction: float, message: str, *, cached: bool = False) -> None: ...
-
-
-def silent(stage: str, fraction: float, message: str, *, cached: bool = False) -> None:
-    """No progress."""
-
-
-T = TypeVar("T")
-
-
-@dataclass
-class StageResult(Generic[T]):
-    """A stage's record, and its artifact: in memory where it was just computed, else read when first asked for."""
-
-    store: Store
-    record: StageRecord
-    cached: bool
-    load: Callable[[files.Locate], T] | None = None
-    fresh: T | None = None
-
-    @cached_property
-    def artifact(self) -> T:
-        if self.fresh is not None:
-            return self.fresh
-        if self.load is None:
-            raise TypeError(f"the stage {self.record.stage} has files only")
-        return self.load(lambda name: self.store.path(self.record.outputs[name]))
 
 
 @dataclass
@@ -92,90 +58,6 @@ class CaseResult:
         (out / "manifest.json").write_text(json.dumps(self.manifest, indent=1) + "\n")
 
 
-@dataclass
-class _Run:
-    """Runs stages of one case against a store. alone: no other stages of this process run at the same time."""
-
-    store: Store
-    tell: CaseProgress
-    later: Commits
-    alone: bool = True
-    records: list[StageResult[Any]] = field(default_factory=list)
-
-    def stage(
-        self,
-        name: str,
-        parameters: Any,
-        inputs: dict[str, StageResult[Any] | str],
-        compute: Callable[[Progress], T],
-        save: Callable[[Path, T], None],
-        load: Callable[[files.Locate], T],
-    ) -> StageResult[T]:
-        """One stage whose artifact is a value: computed in memory, then saved.
-
-        inputs: other stages, or digests of the part of them that matters.
-        """
-        kept: list[T] = []
-
-        def work(folder: Path, key: str, progress: Progress) -> Report:
-            artifact = compute(progress)
-            kept.append(artifact)
-            save(folder, artifact)
-            return artifact.report  # type: ignore[attr-defined, no-any-return]
-
-        result: StageResult[T] = self.file_stage(name, parameters, inputs, work)
-        result.load = load
-        result.fresh = kept[0] if kept else None
-        return result
-
-    def file_stage(
-        self,
-        name: str,
-        parameters: Any,
-        inputs: dict[str, StageResult[Any] | str],
-        work: Callable[[Path, str, Progress], Report],
-    ) -> StageResult[Any]:
-        """One stage that writes files."""
-
-        def compute(folder: Path, key: str) -> tuple[Report, float, int]:
-            if self.alone:
-                memory.reset_peak()
-            start = time.perf_counter()
-            report = work(folder, key, lambda fraction, message: self.tell(name, fraction, message))
-            return report, time.perf_counter() - start, memory.peak_bytes()
-
-        self.tell(name, 0.0, "started")
-        digests = {k: given if isinstance(given, str) else given.record.digest for k, given in inputs.items()}
-        record, cached = self.store.run(name, VERSIONS[name], parameters, digests, compute, self.later)
-        self.tell(name, 1.0, "done", cached=cached)
-        result: StageResult[Any] = StageResult(self.store, record, cached)
-        self.records.append(result)
-        return result
-
-    def both(self, first: Callable[[_Run], None], second: Callable[[_Run], None]) -> None:
-        """Runs stages of which none needs another at the same time, and tells of them in order, first ``first``.
-
-        second: on a thread of its own. It may start no parallel kernel, because numba's threads serve one caller.
-        """
-        told: list[Callable[[], None]] = []
-
-        def tell_later(stage: str, fraction: float, message: str, *, cached: bool = False) -> None:
-            told.append(partial(self.tell, stage, fraction, message, cached=cached))
-
-        beside = _Run(self.store, tell_later, self.later, alone=False)
-        with ThreadPoolExecutor(1, "beside") as pool:
-            running = pool.submit(second, beside)
-            first(self)
-        running.result()
-        for tell in told:
-            tell()
-        self.records += beside.records
-
-    def leave_out(self, name: str) -> None:
-        """Tells of a stage that this case has no use for."""
-        self.tell(name, 1.0, "not needed")
-
-
 def run(spec: SimulationSpec, store: Store, progress: CaseProgress = silent) -> CaseResult:
     """Simulates one case.
 
@@ -183,12 +65,12 @@ def run(spec: SimulationSpec, store: Store, progress: CaseProgress = silent) -> 
     """
     start = time.perf_counter()
     with Commits() as later:
-        case = _Run(store, progress, later)
+        case = Run(store, VERSIONS, progress, later)
         _stages(case, spec)
     return _result(spec, store, case.records, time.perf_counter() - start)
 
 
-def _stages(case: _Run, spec: SimulationSpec) -> None:
+def _stages(case: Run, spec: SimulationSpec) -> None:
     grown = _phantom(case, spec)
     if isinstance(spec.phantom, UploadedPhantom) and spec.phantom.compressed:
         meshed, warped = None, grown
@@ -203,14 +85,64 @@ def _stages(case: _Run, spec: SimulationSpec) -> None:
         files.save_stack,
         files.load_stack,
     )
-    volume = case.stage(
-        "reconstruction",
-        spec.reconstruction.model_dump(),
-        {"projections": stack, "compression": compressed},
-        lambda p: reconstruction.reconstruct(stack.artifact, spec.reconstruction, compressed.artifact.thickness, p),
-        files.save_volume,
-        files.load_volume,
+    with Beside(case) as beside:
+
+        def mechanics(case: Run) -> None:
+            if meshed is None:
+                case.leave_out("mechanics")
+                return
+            case.file_stage(
+                "mechanics",
+                spec.compression.material.model_dump(),
+                {"phantom": grown, "mesh": meshed, "compression": compressed},
+                lambda folder, *_: _mechanics(folder, spec.compression.material, grown, meshed, compressed),
+            )
+
+        def reconstructed(progress: Progress) -> Volume:
+            thickness = compressed.artifact.thickness
+            volume = reconstruction.reconstruct(stack.artifact, spec.reconstruction, thickness, progress)
+            beside.start(mechanics)  # from here on there is a core to spare
+            return volume
+
+        volume = case.stage(
+            "reconstruction",
+            spec.reconstruction.model_dump(),
+            {"projections": stack, "compression": compressed},
+            reconstructed,
+            files.save_volume,
+            files.load_volume,
+        )
+        beside.start(mechanics)
+        beside.start(lambda case: _show(case, grown, warped, stack, volume))
+        _export(case, spec, grown, stack, volume, warped, compressed)
+
+
+def _show(
+    case: Run,
+    grown: StageResult[Phantom],
+    warped: StageResult[Phantom],
+    stack: StageResult[ProjectionStack],
+    volume: StageResult[Volume],
+) -> None:
+    """Pictures of what was made."""
+    case.file_stage(
+        "preview",
+        {},
+        {"phantom": grown, "compressed": warped, "projections": stack, "volume": volume},
+        lambda folder, *_: _previews(folder, grown, warped, stack, volume),
     )
+
+
+def _export(
+    case: Run,
+    spec: SimulationSpec,
+    grown: StageResult[Phantom],
+    stack: StageResult[ProjectionStack],
+    volume: StageResult[Volume],
+    warped: StageResult[Phantom],
+    compressed: StageResult[Compression],
+) -> None:
+    """The study in DICOM."""
     export = _named(spec.export, grown.record.key)
     description = dicom.CaseDescription(
         identity=digest({"version": __version__, "inputs": [r.record.key for r in case.records]}),
@@ -223,35 +155,30 @@ def _stages(case: _Run, spec: SimulationSpec) -> None:
         attenuation_per_mm=projection.attenuation_per_mm(spec.physics),
     )
 
-    def exported(case: _Run) -> None:
-        case.file_stage(
-            "dicom",
-            {"export": export.model_dump(), "case": asdict(description)},
-            {"projections": stack, "volume": volume, "phantom": warped, "compression": compressed},
-            lambda folder, _, p: _export(folder, export, description, stack, volume, warped, compressed, p),
+    def write(folder: Path, key: str, hashing: Hashing, progress: Progress) -> Report:
+        names = dicom.export(
+            folder,
+            export,
+            description,
+            stack.artifact,
+            volume.artifact,
+            warped.artifact,
+            compressed.artifact,
+            progress,
+            pixels=(stack.record.digest, volume.record.digest),
+            finished=hashing.begin,
         )
+        return {"files": len(names)}
 
-    def shown(case: _Run) -> None:
-        if meshed is None:
-            case.leave_out("mechanics")
-        else:
-            case.file_stage(
-                "mechanics",
-                spec.compression.material.model_dump(),
-                {"phantom": grown, "mesh": meshed, "compression": compressed},
-                lambda folder, _, p: _mechanics(folder, spec.compression.material, grown, meshed, compressed),
-            )
-        case.file_stage(
-            "preview",
-            {},
-            {"phantom": grown, "compressed": warped, "projections": stack, "volume": volume},
-            lambda folder, key, p: _previews(folder, grown, warped, stack, volume),
-        )
-
-    case.both(exported, shown)
+    case.file_stage(
+        "dicom",
+        {"export": export.model_dump(), "case": asdict(description)},
+        {"projections": stack, "volume": volume, "phantom": warped, "compression": compressed},
+        write,
+    )
 
 
-def _phantom(case: _Run, spec: SimulationSpec) -> StageResult[Phantom]:
+def _phantom(case: Run, spec: SimulationSpec) -> StageResult[Phantom]:
     """Grown, or read from the store."""
     asked = spec.phantom
     if isinstance(asked, UploadedPhantom):
@@ -284,7 +211,7 @@ def _with_outline(grown: Phantom) -> Phantom:
 
 
 def _compress(
-    case: _Run, spec: SimulationSpec, grown: StageResult[Phantom]
+    case: Run, spec: SimulationSpec, grown: StageResult[Phantom]
 ) -> tuple[StageResult[TetMesh], StageResult[Compression], StageResult[Phantom]]:
     """Mesh, compression and compressed phantom."""
     # Breasts of one outline (with and without lesions, of another seed) share their mesh, and where the law is the
@@ -316,7 +243,7 @@ def _compress(
     return meshed, compressed, warped
 
 
-def _uploaded_compression(case: _Run, spec: UploadedPhantom, grown: StageResult[Phantom]) -> StageResult[Compression]:
+def _uploaded_compression(case: Run, spec: UploadedPhantom, grown: StageResult[Phantom]) -> StageResult[Compression]:
     """The plates around a phantom that was compressed elsewhere."""
     case.leave_out("mesh")
     compressed = case.stage(
@@ -334,30 +261,6 @@ def _uploaded_compression(case: _Run, spec: UploadedPhantom, grown: StageResult[
 def _named(spec: ExportSpec, phantom_key: str) -> ExportSpec:
     """A patient without a name is named after the phantom: all studies of one breast are of one patient."""
     return spec if spec.patient_id else spec.with_(patient_id=phantom_key[:12])
-
-
-def _export(
-    folder: Path,
-    spec: ExportSpec,
-    description: dicom.CaseDescription,
-    stack: StageResult[ProjectionStack],
-    volume: StageResult[Volume],
-    warped: StageResult[Phantom],
-    compressed: StageResult[Compression],
-    progress: Progress,
-) -> Report:
-    names = dicom.export(
-        folder,
-        spec,
-        description,
-        stack.artifact,
-        volume.artifact,
-        warped.artifact,
-        compressed.artifact,
-        progress,
-        pixels=(stack.record.digest, volume.record.digest),
-    )
-    return {"files": len(names)}
 
 
 def _mechanics(

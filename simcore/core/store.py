@@ -84,12 +84,30 @@ def file_ref(path: Path) -> FileRef:
     return FileRef(file_digest(path), path.stat().st_size)
 
 
-def file_refs(paths: dict[str, Path]) -> dict[str, FileRef]:
-    """Digest and size of every file, by name; two at a time, for hashing leaves the interpreter to others."""
-    with ThreadPoolExecutor(2, "hash") as pool:
-        largest_first = sorted(paths, key=lambda name: -paths[name].stat().st_size)
-        found = {name: pool.submit(file_ref, paths[name]) for name in largest_first}
-        return {name: found[name].result() for name in paths}
+class Hashing:
+    """Digests of files, two at a time: hashing leaves the interpreter to others. One may ``begin`` before all are
+    written."""
+
+    def __init__(self) -> None:
+        self._pool = ThreadPoolExecutor(2, "hash")
+        self._found: dict[Path, Future[FileRef]] = {}
+
+    def begin(self, path: Path) -> None:
+        """``path`` is whole and is not written again."""
+        self._found[path] = self._pool.submit(file_ref, path)
+
+    def refs(self, paths: dict[str, Path]) -> dict[str, FileRef]:
+        """Digest and size of every file, by name."""
+        for path in sorted(paths.values(), key=lambda path: -path.stat().st_size):
+            if path not in self._found:
+                self.begin(path)
+        return {name: self._found[path].result() for name, path in paths.items()}
+
+    def __enter__(self) -> Hashing:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._pool.shutdown(cancel_futures=True)
 
 
 @dataclass(frozen=True)
@@ -305,24 +323,25 @@ class Store:
         version: int,
         parameters: Any,
         inputs: dict[str, str],
-        compute: Callable[[Path, str], tuple[Report, float, int]],
+        compute: Callable[[Path, str, Hashing], tuple[Report, float, int]],
         later: Commits | None = None,
     ) -> tuple[StageRecord, bool]:
         """The record of a stage, computed where it is not there yet: (record, whether it was cached).
 
-        compute(folder, key): writes the outputs below ``folder``; returns (report, seconds, peak memory in bytes).
+        compute(folder, key, hashing): writes the outputs below ``folder``; returns (report, seconds, peak memory in
+        bytes). It may begin the hashing of files that are finished before others are.
         later: takes the waiting for the disk off the caller where the outputs are large. Such a stage is surely in
         the store only when it is closed.
         """
         key = stage_key(stage, version, parameters, inputs)
         if record := self.get(key):
             return record, True
-        with contextlib.ExitStack() as held:
+        with contextlib.ExitStack() as held, Hashing() as hashing:
             held.enter_context(self.lock(key))
             if record := self.get(key):
                 return record, True
             folder = held.enter_context(self.workspace())
-            report, seconds, peak = compute(folder, key)
+            report, seconds, peak = compute(folder, key, hashing)
             names = sorted(p.relative_to(folder).as_posix() for p in folder.rglob("*") if p.is_file())
             paths = {name: folder / name for name in names}
             hashed: Future[StageRecord] = Future()
@@ -330,7 +349,7 @@ class Store:
             if later is not None and large:
                 later.take(partial(self._sync_and_commit, list(paths.values()), hashed, folder), held.pop_all())
             try:
-                outputs = file_refs(paths)
+                outputs = hashing.refs(paths)
             except BaseException as error:
                 hashed.set_exception(error)
                 raise

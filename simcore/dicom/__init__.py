@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 
 from simcore.core.artifacts import Compression, Phantom, ProjectionStack, Volume
@@ -22,6 +23,7 @@ def export(
     compression: Compression,
     progress: Progress = silent,
     pixels: tuple[str, str] | None = None,
+    finished: Callable[[Path], None] = lambda path: None,
 ) -> list[str]:
     """Write a case below ``folder`` (made where missing) and return the relative names of the files.
 
@@ -34,6 +36,7 @@ def export(
     and what spec.extra_objects asks for; see simcore.dicom.extras
 
     pixels: digests that tell the content of ``stack`` and of ``volume``, where they are known; computed where not.
+    finished: told of every object's file when it is whole.
 
     Rows of all images run along x, columns along y. The arrays may be memory maps; pixel data is streamed, so next
     to nothing is held beside them. Nothing depends on the clock: equal arguments give equal bytes.
@@ -42,4 +45,4 @@ def export(
     # Here and not above: the specification is read where nothing may load compiled code.
     from simcore.dicom.writing import write_study
 
-    return write_study(folder, spec, case, stack, volume, compressed, compression, progress, pixels)
+    return write_study(folder, spec, case, stack, volume, compressed, compression, progress, pixels, finished)

@@ -29,6 +29,7 @@ from simcore.dicom.tomosynthesis import tomosynthesis_image
 from simcore.dicom.truth_table import truth_table
 
 TRUTH_TABLE = "truth.csv"
+_LARGEST = "tomosynthesis.dcm"
 _SAMPLES = 100
 """Voxels along each axis that the display window is taken from, at least (where there are so many)."""
 
@@ -43,6 +44,7 @@ def write_study(
     compression: Compression,
     progress: Progress,
     pixels: tuple[str, str] | None,
+    finished: Callable[[Path], None],
 ) -> list[str]:
     """As ``simcore.dicom.export``."""
     _check(case, stack, volume)
@@ -79,7 +81,7 @@ def write_study(
         projection_window=_projection_window(stack),
         volume_window=volume_window,
     )
-    return _write_all(folder, study, encoded, part(progress, 0.3, 1.0))
+    return _write_all(folder, study, encoded, part(progress, 0.3, 1.0), finished)
 
 
 def _check(case: CaseDescription, stack: ProjectionStack, volume: Volume) -> None:
@@ -129,13 +131,17 @@ def _projection_window(stack: ProjectionStack) -> tuple[float, float]:
     return breast_window(breast if breast.size else values)
 
 
-def _write_all(folder: Path, study: Study, encoded: EncodedLabels, progress: Progress) -> list[str]:
+def _write_all(
+    folder: Path, study: Study, encoded: EncodedLabels, progress: Progress, finished: Callable[[Path], None]
+) -> list[str]:
     planned = list(_planned(study, encoded))
-    for number, (name, make) in enumerate(planned):
+    # The largest first: who is told of it can read it while the others are written.
+    for number, (name, make) in enumerate(sorted(planned, key=lambda entry: entry[0] != _LARGEST)):
         progress(number / len(planned), name)
         path = folder / name
         path.parent.mkdir(parents=True, exist_ok=True)
         write(path, make(), study.case, study.spec.encoding)
+        finished(path)
     (folder / TRUTH_TABLE).write_text(truth_table(study), encoding="utf-8", newline="")
     progress(1.0, "written")
     return [*(name for name, _ in planned), TRUTH_TABLE]
@@ -146,7 +152,7 @@ def _planned(study: Study, encoded: EncodedLabels) -> Iterator[tuple[str, Callab
     for view in range(study.stack.geometry.views):
         yield f"projections/{view + 1:04d}.dcm", partial(mammography_image, study, view)
     yield "projections.dcm", partial(breast_projection_image, study)
-    yield "tomosynthesis.dcm", partial(tomosynthesis_image, study)
+    yield _LARGEST, partial(tomosynthesis_image, study)
     yield "labels.dcm", partial(label_map, study, encoded)
     if any(len(lesion.voxels) for lesion in study.lesions):
         yield "lesions.dcm", partial(lesion_segmentation, study)

@@ -13,7 +13,7 @@ from bench import _soak_check
 from bench._soak_check import Finding, check, left_running
 from bench._soak_service import MARKER
 from bench.soak import must_fail, soak, specification
-from simcore.core.store import Store
+from simcore.core.store import Hashing, Store
 from worker import schema
 from worker.database import connect
 from worker.jobs import Jobs
@@ -52,7 +52,7 @@ class Aftermath:
         self.ids = {name: self.jobs.create({}, {}, name).id for name in self.specs}
 
     def manifest(self, content: str) -> dict:
-        def compute(folder: Path, key: str) -> tuple[dict, float, int]:
+        def compute(folder: Path, key: str, hashing: Hashing) -> tuple[dict, float, int]:
             (folder / "file").write_text(content)
             return {}, 0.0, 0
 

@@ -43,7 +43,7 @@ def run(spec: Any, store: Store, progress: Any) -> Result:
             1,
             {"name": spec.name, "seed": spec.seed},
             {},
-            lambda folder, key, s=stage: work(s, spec, folder, progress),
+            lambda folder, key, hashing, s=stage: work(s, spec, folder, progress),
         )
         progress(stage, 1.0, "done", cached=cached)
         stages.append((record, cached))

@@ -28,7 +28,7 @@ def run(spec: Any, store: Store, progress: Any) -> Result:
         progress(stage, 0.0, "started")
         parameters = {"seed": spec.seed} if stage in SHARED else {"views": spec.acquisition.views}
         record, cached = store.run(
-            stage, 1, parameters, inputs, lambda folder, key, s=stage: _compute(s, spec.seed, folder)
+            stage, 1, parameters, inputs, lambda folder, key, hashing, s=stage: _compute(s, spec.seed, folder)
         )
         progress(stage, 1.0, "done", cached=cached)
         inputs = {stage: record.digest}

@@ -61,7 +61,7 @@ def test_a_case_on_a_full_disk_fails_and_goes_on_when_there_is_space(small_disk,
 def test_a_write_without_space_is_a_full_disk(tmp_path):
     """/dev/full has no space, whatever the disk has."""
 
-    def compute(folder, key):
+    def compute(folder, key, hashing):
         (folder / "a").symlink_to("/dev/full")
         (folder / "a").write_bytes(b"x" * 100_000)
         return {}, 0.0, 0

@@ -176,7 +176,7 @@ def age(store, monkeypatch, seconds=2 * DAY):
 
 
 def write(text):
-    def compute(folder, key):
+    def compute(folder, key, hashing):
         (folder / "a").write_text(text)
         return {}, 0.0, 0
 

@@ -35,7 +35,7 @@ def there(location):
 
 
 def write(text: str):
-    def compute(folder: Path, key: str):
+    def compute(folder: Path, key: str, hashing: object):
         (folder / "sub").mkdir()
         (folder / "a.txt").write_text(text)
         (folder / "sub" / "b.txt").write_text(text + "b")
@@ -130,7 +130,7 @@ def test_an_unreadable_record_is_computed_again(machine, there):
 
 
 def _compute_slowly(root: Path, location: Location, log: Path) -> None:
-    def compute(folder: Path, key: str):
+    def compute(folder: Path, key: str, hashing: object):
         with open(log, "a") as f:
             f.write("computed\n")
         time.sleep(0.5)

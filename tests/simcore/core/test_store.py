@@ -1,6 +1,7 @@
 """The store: nothing torn, nothing computed twice, damage seen."""
 
 import errno
+import hashlib
 import multiprocessing
 import os
 import signal
@@ -12,7 +13,7 @@ import pytest
 
 from simcore.core import store as store_module
 from simcore.core.errors import StoreError
-from simcore.core.store import Commits, Store, canonical, stage_key
+from simcore.core.store import Commits, Hashing, Store, canonical, stage_key
 
 
 @pytest.fixture
@@ -21,7 +22,7 @@ def store(tmp_path: Path) -> Store:
 
 
 def write(text: str):
-    def compute(folder: Path, key: str):
+    def compute(folder: Path, key: str, hashing: Hashing):
         (folder / "sub").mkdir()
         (folder / "a.txt").write_text(text)
         (folder / "sub" / "b.txt").write_text(text + "b")
@@ -75,7 +76,7 @@ def test_objects_are_shared_and_read_only(store):
 
 
 def test_a_failed_stage_leaves_nothing(store):
-    def fail(folder: Path, key: str):
+    def fail(folder: Path, key: str, hashing: object):
         (folder / "half").write_text("half")
         raise RuntimeError("no")
 
@@ -106,7 +107,7 @@ def test_materialise_copies(store, tmp_path):
 
 
 def _compute_slowly(root: Path, log: Path) -> None:
-    def compute(folder: Path, key: str):
+    def compute(folder: Path, key: str, hashing: Hashing):
         with open(log, "a") as f:
             f.write("computed\n")
         time.sleep(0.5)
@@ -191,3 +192,16 @@ def test_a_commit_that_fails_is_told(store, monkeypatch):
     monkeypatch.undo()
     assert store.get(record.key) is None
     assert list((store.root / "tmp").iterdir()) == []
+
+
+def test_a_file_may_be_hashed_before_others_are_written(store):
+    def compute(folder: Path, key: str, hashing: Hashing):
+        (folder / "large").write_text("first")
+        hashing.begin(folder / "large")
+        (folder / "small").write_text("then")
+        return {}, 0.0, 0
+
+    record, _ = store.run("s", 1, {}, {}, compute)
+    for name, text in (("large", b"first"), ("small", b"then")):
+        assert record.outputs[name].sha256 == hashlib.sha256(text).hexdigest()
+        assert store.path(record.outputs[name]).read_bytes() == text
