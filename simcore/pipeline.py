@@ -85,6 +85,7 @@ def _stages(case: Run, spec: SimulationSpec) -> None:
         files.save_stack,
         files.load_stack,
     )
+    # Projections and volume go by the keys of their stages: what follows need not wait for their digests.
     with Beside(case) as beside:
 
         def mechanics(case: Run) -> None:
@@ -107,7 +108,7 @@ def _stages(case: Run, spec: SimulationSpec) -> None:
         volume = case.stage(
             "reconstruction",
             spec.reconstruction.model_dump(),
-            {"projections": stack, "compression": compressed},
+            {"projections": stack.key, "compression": compressed},
             reconstructed,
             files.save_volume,
             files.load_volume,
@@ -128,7 +129,7 @@ def _show(
     case.file_stage(
         "preview",
         {},
-        {"phantom": grown, "compressed": warped, "projections": stack, "volume": volume},
+        {"phantom": grown, "compressed": warped, "projections": stack.key, "volume": volume.key},
         lambda folder, *_: _previews(folder, grown, warped, stack, volume),
     )
 
@@ -143,9 +144,9 @@ def _export(
     compressed: StageResult[Compression],
 ) -> None:
     """The study in DICOM."""
-    export = _named(spec.export, grown.record.key)
+    export = _named(spec.export, grown.key)
     description = dicom.CaseDescription(
-        identity=digest({"version": __version__, "inputs": [r.record.key for r in case.records]}),
+        identity=digest({"version": __version__, "inputs": [r.key for r in case.records]}),
         seed=spec.seed,
         software_version=__version__,
         energy_keV=spec.physics.energy_keV,
@@ -165,7 +166,6 @@ def _export(
             warped.artifact,
             compressed.artifact,
             progress,
-            pixels=(stack.record.digest, volume.record.digest),
             finished=hashing.begin,
         )
         return {"files": len(names)}
@@ -173,7 +173,7 @@ def _export(
     case.file_stage(
         "dicom",
         {"export": export.model_dump(), "case": asdict(description)},
-        {"projections": stack, "volume": volume, "phantom": warped, "compression": compressed},
+        {"projections": stack.key, "volume": volume.key, "phantom": warped, "compression": compressed},
         write,
     )
 

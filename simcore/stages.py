@@ -13,7 +13,7 @@ from typing import Any, Generic, Protocol, TypeVar
 from simcore.core import files, memory
 from simcore.core.artifacts import Report
 from simcore.core.progress import Progress
-from simcore.core.store import Commits, Hashing, StageRecord, Store
+from simcore.core.store import Begun, Commits, Hashing, StageRecord, Store, stage_key
 
 
 class CaseProgress(Protocol):
@@ -34,10 +34,19 @@ class StageResult(Generic[T]):
     """A stage's record, and its artifact: in memory where it was just computed, else read when first asked for."""
 
     store: Store
-    record: StageRecord
-    cached: bool
+    key: str
+    begun: Begun
     load: Callable[[files.Locate], T] | None = None
     fresh: T | None = None
+
+    @property
+    def cached(self) -> bool:
+        return self.begun.cached
+
+    @property
+    def record(self) -> StageRecord:
+        """Waits for the digests of large files."""
+        return self.begun.record.result()
 
     @cached_property
     def artifact(self) -> T:
@@ -106,9 +115,10 @@ class Run:
 
         self.tell(name, 0.0, "started")
         digests = {k: given if isinstance(given, str) else given.record.digest for k, given in inputs.items()}
-        record, cached = self.store.run(name, self.versions[name], parameters, digests, compute, self.later)
-        self.tell(name, 1.0, "done", cached=cached)
-        result: StageResult[Any] = StageResult(self.store, record, cached)
+        key = stage_key(name, self.versions[name], parameters, digests)
+        begun = self.store.begin(key, name, self.versions[name], compute, self.later)
+        self.tell(name, 1.0, "done", cached=begun.cached)
+        result: StageResult[Any] = StageResult(self.store, key, begun)
         self.records.append(result)
         return result
 

@@ -133,6 +133,29 @@ class StageRecord:
         return cls(**{**d, "outputs": {n: FileRef(**r) for n, r in d["outputs"].items()}})
 
 
+@dataclass(frozen=True)
+class Begun:
+    """A stage whose files are there. record: as soon as they are hashed."""
+
+    record: Future[StageRecord]
+    cached: bool
+
+    @classmethod
+    def there(cls, record: StageRecord) -> Begun:
+        return cls(_completed(record), cached=True)
+
+
+Compute = Callable[[Path, str, Hashing], tuple[Report, float, int]]
+"""compute(folder, key, hashing): writes the outputs of a stage below ``folder``; returns (report, seconds, peak memory
+in bytes). It may begin the hashing of files that are finished before others are."""
+
+
+def _completed(record: StageRecord) -> Future[StageRecord]:
+    future: Future[StageRecord] = Future()
+    future.set_result(record)
+    return future
+
+
 def stage_key(stage: str, version: int, parameters: Any, inputs: dict[str, str]) -> str:
     """Key of a stage: its name and version, its own part of the specification, the digests of its inputs."""
     return digest({"stage": stage, "version": version, "parameters": parameters, "inputs": inputs})
@@ -166,13 +189,18 @@ def workspace_prefix(process: int) -> str:
 class Commits:
     """Commits of stages, one after the other beside the computation of what follows.
 
-    A disk takes seconds to have a volume for certain. Closing waits for all of them; the first that failed is raised
-    then, or by the next ``take``.
+    A disk takes seconds to have a volume for certain, and so does its digest. Closing waits for all of them; the first
+    that failed is raised then, or by the next ``take``.
     """
 
     def __init__(self) -> None:
         self._thread = ThreadPoolExecutor(1, "commit")
+        self._hasher = ThreadPoolExecutor(1, "hash")
         self._underway: list[Future[None]] = []
+
+    def hash(self, make: Callable[[], StageRecord]) -> Future[StageRecord]:
+        """Runs what makes a record of finished files."""
+        return self._hasher.submit(make)
 
     def take(self, commit: Callable[[], None], held: contextlib.ExitStack) -> None:
         """Runs ``commit`` and then leaves ``held`` (the lock and the folder of the stage)."""
@@ -193,6 +221,7 @@ class Commits:
         return self
 
     def __exit__(self, kind: object, error: BaseException | None, trace: object) -> None:
+        self._hasher.shutdown()
         self._thread.shutdown()
         if error is None:
             self._raise_failures()
@@ -323,41 +352,42 @@ class Store:
         version: int,
         parameters: Any,
         inputs: dict[str, str],
-        compute: Callable[[Path, str, Hashing], tuple[Report, float, int]],
-        later: Commits | None = None,
+        compute: Compute,
     ) -> tuple[StageRecord, bool]:
-        """The record of a stage, computed where it is not there yet: (record, whether it was cached).
+        """The record of a stage, computed where it is not there yet, and in the store: (record, whether it was
+        cached)."""
+        with Commits() as at_once:
+            found = self.begin(stage_key(stage, version, parameters, inputs), stage, version, compute, at_once)
+        return found.record.result(), found.cached
 
-        compute(folder, key, hashing): writes the outputs below ``folder``; returns (report, seconds, peak memory in
-        bytes). It may begin the hashing of files that are finished before others are.
-        later: takes the waiting for the disk off the caller where the outputs are large. Such a stage is surely in
-        the store only when it is closed.
+    def begin(self, key: str, stage: str, version: int, compute: Compute, later: Commits) -> Begun:
+        """The stage of ``key``, computed where it is not there yet.
+
+        later: takes the waiting for digests and for the disk off the caller where the outputs are large. Such a stage
+        is surely in the store only when it is closed.
         """
-        key = stage_key(stage, version, parameters, inputs)
         if record := self.get(key):
-            return record, True
-        with contextlib.ExitStack() as held, Hashing() as hashing:
+            return Begun.there(record)
+        with contextlib.ExitStack() as held:
             held.enter_context(self.lock(key))
             if record := self.get(key):
-                return record, True
+                return Begun.there(record)
             folder = held.enter_context(self.workspace())
+            hashing = held.enter_context(Hashing())
             report, seconds, peak = compute(folder, key, hashing)
             names = sorted(p.relative_to(folder).as_posix() for p in folder.rglob("*") if p.is_file())
             paths = {name: folder / name for name in names}
-            hashed: Future[StageRecord] = Future()
-            large = sum(p.stat().st_size for p in paths.values()) >= LARGE_BYTES
-            if later is not None and large:
-                later.take(partial(self._sync_and_commit, list(paths.values()), hashed, folder), held.pop_all())
-            try:
-                outputs = hashing.refs(paths)
-            except BaseException as error:
-                hashed.set_exception(error)
-                raise
-            record = StageRecord(stage, version, key, outputs, report, round(seconds, 4), peak)
-            if later is None or not large:
+
+            def made() -> StageRecord:
+                return StageRecord(stage, version, key, hashing.refs(paths), report, round(seconds, 4), peak)
+
+            if sum(p.stat().st_size for p in paths.values()) < LARGE_BYTES:
+                record = made()
                 self.commit(record, folder)
-            hashed.set_result(record)
-            return record, False
+                return Begun(_completed(record), cached=False)
+            hashed = later.hash(made)
+            later.take(partial(self._sync_and_commit, list(paths.values()), hashed, folder), held.pop_all())
+            return Begun(hashed, cached=False)
 
     def _sync_and_commit(self, paths: list[Path], hashed: Future[StageRecord], folder: Path) -> None:
         """As ``commit``, for files that are still being hashed: meanwhile the disk takes them."""

@@ -22,7 +22,6 @@ def export(
     compressed: Phantom,
     compression: Compression,
     progress: Progress = silent,
-    pixels: tuple[str, str] | None = None,
     finished: Callable[[Path], None] = lambda path: None,
 ) -> list[str]:
     """Write a case below ``folder`` (made where missing) and return the relative names of the files.
@@ -35,7 +34,6 @@ def export(
     truth.csv                 the lesions as boxes; see simcore.dicom.truth_table
     and what spec.extra_objects asks for; see simcore.dicom.extras
 
-    pixels: digests that tell the content of ``stack`` and of ``volume``, where they are known; computed where not.
     finished: told of every object's file when it is whole.
 
     Rows of all images run along x, columns along y. The arrays may be memory maps; pixel data is streamed, so next
@@ -45,4 +43,4 @@ def export(
     # Here and not above: the specification is read where nothing may load compiled code.
     from simcore.dicom.writing import write_study
 
-    return write_study(folder, spec, case, stack, volume, compressed, compression, progress, pixels, finished)
+    return write_study(folder, spec, case, stack, volume, compressed, compression, progress, finished)

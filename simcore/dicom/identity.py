@@ -14,9 +14,6 @@ import uuid
 from dataclasses import asdict, dataclass
 from typing import Any
 
-import numpy as np
-from numpy.typing import NDArray
-
 from simcore.dicom.exposure import Exposure
 
 FORMAT = 2
@@ -56,14 +53,6 @@ class CaseDescription:
     def short(self) -> str:
         """The first 12 digits of the identity: for names that people read."""
         return self.identity[:12]
-
-
-def array_digest(array: NDArray[Any]) -> str:
-    """Hexadecimal sha256 of the type, shape and content of an array; plane by plane, so a memory map is streamed."""
-    digest = hashlib.sha256(f"{array.dtype.str}{array.shape}".encode())
-    for plane in array:
-        digest.update(memoryview(np.ascontiguousarray(plane)).cast("B"))  # type: ignore[arg-type]
-    return digest.hexdigest()
 
 
 def content_root(case: CaseDescription, facts: dict[str, Any]) -> str:

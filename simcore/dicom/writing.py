@@ -15,8 +15,9 @@ from simcore.core.errors import ExportError
 from simcore.core.progress import Progress, part
 from simcore.dicom.breast_projection import breast_projection_image
 from simcore.dicom.common import Instance, write
+from simcore.dicom.content import array_digest
 from simcore.dicom.extras import EXTRAS
-from simcore.dicom.identity import CaseDescription, Identifiers, array_digest, content_root
+from simcore.dicom.identity import CaseDescription, Identifiers, content_root
 from simcore.dicom.lesion_segmentation import lesion_segmentation
 from simcore.dicom.lesions import find_lesions
 from simcore.dicom.mammography import mammography_image
@@ -43,24 +44,22 @@ def write_study(
     compressed: Phantom,
     compression: Compression,
     progress: Progress,
-    pixels: tuple[str, str] | None,
     finished: Callable[[Path], None],
 ) -> list[str]:
     """As ``simcore.dicom.export``."""
     _check(case, stack, volume)
     lookup = nearest(compressed.grid.moved(z=stack.geometry.support_height), volume.grid)
     progress(0.0, "labels and digests")
-    projection_digest, volume_digest = pixels or (array_digest(stack.data), array_digest(volume.data))
     encoded = encode_labels(compressed, lookup)
     volume_window = _volume_window(volume, compressed, lookup)
     lesions = find_lesions(compressed, stack.geometry.support_height, volume.grid)
     facts = {
         "export": spec.model_dump(),
-        "projections": projection_digest,
+        "projections": array_digest(stack.data),
         "open_field": float(stack.open_field),
         **({"slab_integral": stack.slab_integral} if stack.slab_integral else {}),
         "geometry": stack.geometry.to_dict(),
-        "volume": volume_digest,
+        "volume": array_digest(volume.data),
         "grid": volume.grid.to_dict(),
         "values": [float(volume.slope), float(volume.intercept)],
         "labels": array_digest(np.frombuffer(b"".join(encoded.frames), np.uint8)[None]),

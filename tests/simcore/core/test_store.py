@@ -155,13 +155,19 @@ def test_kill_at_any_moment_tears_nothing(tmp_path):
             assert store.path(ref).stat().st_size == ref.size
 
 
+def begun(store, later):
+    """The record as soon as the files are hashed, and whether it was cached."""
+    stage = store.begin(stage_key("s", 1, {}, {}), "s", 1, write("x"), later)
+    return stage.record.result(), stage.cached
+
+
 def test_large_outputs_are_committed_beside_what_follows(store, monkeypatch):
     monkeypatch.setattr(store_module, "LARGE_BYTES", 0)
     disk_is_ready = threading.Event()
     sync = os.fsync
     monkeypatch.setattr(os, "fsync", lambda fd: (disk_is_ready.wait(30), sync(fd))[1])
     with Commits() as later:
-        record, cached = store.run("s", 1, {}, {}, write("x"), later)
+        record, cached = begun(store, later)
         assert not cached
         assert store.get(record.key) is None
         waiting = threading.Thread(target=lambda: found.append(store.run("s", 1, {}, {}, write("x"))))
@@ -176,7 +182,7 @@ def test_large_outputs_are_committed_beside_what_follows(store, monkeypatch):
 
 def test_small_outputs_are_there_at_once(store):
     with Commits() as later:
-        record, _ = store.run("s", 1, {}, {}, write("x"), later)
+        record, _ = begun(store, later)
         assert store.get(record.key) == record
 
 
@@ -188,9 +194,35 @@ def test_a_commit_that_fails_is_told(store, monkeypatch):
 
     monkeypatch.setattr(os, "fsync", full)
     with pytest.raises(StoreError, match="is full"), Commits() as later:
-        record, _ = store.run("s", 1, {}, {}, write("x"), later)
+        record, _ = begun(store, later)
     monkeypatch.undo()
     assert store.get(record.key) is None
+    assert list((store.root / "tmp").iterdir()) == []
+
+
+def test_large_outputs_are_hashed_beside_what_follows(store, monkeypatch):
+    monkeypatch.setattr(store_module, "LARGE_BYTES", 0)
+    go_on = threading.Event()
+    hashed = store_module.file_ref
+    monkeypatch.setattr(store_module, "file_ref", lambda path: (go_on.wait(30), hashed(path))[1])
+    with Commits() as later:
+        stage = store.begin("0" * 64, "s", 1, write("x"), later)
+        assert not stage.record.done()
+        go_on.set()
+        assert stage.record.result(30).key == "0" * 64
+    assert store.get("0" * 64) == stage.record.result()
+
+
+def test_a_digest_that_fails_is_told(store, monkeypatch):
+    monkeypatch.setattr(store_module, "LARGE_BYTES", 0)
+
+    def unreadable(path: Path) -> None:
+        raise OSError(errno.EIO, "cannot be read")
+
+    monkeypatch.setattr(store_module, "file_ref", unreadable)
+    with pytest.raises(OSError, match="cannot be read"), Commits() as later:
+        store.begin("0" * 64, "s", 1, write("x"), later)
+    assert store.get("0" * 64) is None
     assert list((store.root / "tmp").iterdir()) == []
 
 
