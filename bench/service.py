@@ -1,6 +1,6 @@
 """What the service costs: over ``tomosim simulate``, in answers a second, for a large study, for what is in the store.
 
-    python -m bench.service [--runs 8] [--part small | paper]
+    python -m bench.service [--runs 8] [--part small | paper] [--preset paper-cup-c-50]
 
 One ``tomosim serve`` on a fresh folder. Overhead: seconds from submission to the final state as a client sees it, less
 the seconds that the pipeline itself took, of new cases on a warm worker; beside it the whole command ``tomosim
@@ -40,7 +40,8 @@ from worker import processes
 CONNECTIONS = 8
 LOAD_SECONDS = 4.0
 STUDY_CASES = 1000
-PAPER = "paper-cup-c-20"
+ACQUISITIONS = ((15, 24.0), (15, 20.0), (13, 30.0), (11, 30.0))
+"""(views, degrees) of the paper's breast, once it is compressed and in the store."""
 
 Json = dict[str, Any]
 
@@ -51,6 +52,7 @@ def main() -> int:
     parser.add_argument(
         "--part", choices=("all", "small", "paper"), default="all", help="paper: the paper's size alone"
     )
+    parser.add_argument("--preset", default="paper-cup-c-50", help="the case of the paper's size")
     args = parser.parse_args()
     with tempfile.TemporaryDirectory(prefix="bench-service-") as folder, served(Path(folder)) as url:
         result: Json = {"load": machine_load()}
@@ -60,7 +62,7 @@ def main() -> int:
                 result |= answers(client, url)
                 result |= study(client)
             if args.part != "small":
-                result |= paper(client)
+                result |= paper(client, args.preset)
     print(json.dumps(result))
     return 0
 
@@ -184,13 +186,13 @@ def study(client: Client) -> Json:
     return {"study_cases": STUDY_CASES, "study_submission_seconds": round(seconds, 3)}
 
 
-def paper(client: Client) -> Json:
+def paper(client: Client, preset: str) -> Json:
     """The paper's case, then acquisitions of the same breast: phantom, mesh, compression and warp are in the store."""
-    spec = presets.get(PAPER)
+    spec = presets.get(preset)
     first, _ = through(client, spec)
     seconds = []
-    for views in (13, 11):
-        other = spec.with_(acquisition=spec.acquisition.with_(views=views, angular_range_degrees=30.0))
+    for views, degrees in ACQUISITIONS:
+        other = spec.with_(acquisition=spec.acquisition.with_(views=views, angular_range_degrees=degrees))
         took, manifest = through(client, other)
         seconds.append(took)
     stages = {stage["name"]: stage["seconds"] for stage in manifest["stages"]}

@@ -134,7 +134,7 @@ class Solver:
         force, node_volume = system.force, system.node_volume
         u, p, contact = state.displacement, state.pressure, state.contact.new_load_step()
         slip: Slip | None = None
-        definite, wavered = True, False
+        wavered = False
         pace = _Pace(_STALLED if self.friction is None else 1.0)
         for iteration in range(MAX_NEWTON):
             if not model.assemble(u, p, system) > 0:
@@ -181,7 +181,7 @@ class Solver:
             length *= pace.length
             u, p = u + length * du, p + length * dp
             self.counters.newton += 1
-        raise StepFailed("not-converged" if definite else "unstable-equilibrium")
+        raise StepFailed("unstable-equilibrium" if wavered else "not-converged")
 
     def _tangent(self, system: System, compliance: Floats) -> Tangent:
         return Tangent.of(self.model.pattern, system, 1 / (self.model.node_volume * compliance))
