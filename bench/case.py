@@ -4,7 +4,8 @@
 
 Every run is a fresh process on a store that holds nothing but the mesh of the first run (fTetWild alone takes longer
 than all the rest, and gives another mesh each time). ``warm_process``: the pipeline in a process that has run it
-before, as a worker's has. Last line: one JSON object.
+before, as a worker's has. ``stolen``: shares of the processors that the machine's host gave to others.
+Last line: one JSON object.
 """
 
 from __future__ import annotations
@@ -19,6 +20,7 @@ import time
 from pathlib import Path
 from typing import Any
 
+from bench._timing import Stolen
 from simcore import pipeline
 from simcore.core.store import Store
 from simcore.spec import SimulationSpec
@@ -36,12 +38,14 @@ def main() -> int:
         spec = root / "spec.json"
         spec.write_bytes(subprocess.run([*tomosim, "presets", args.preset], check=True, capture_output=True).stdout)
         mesh_seconds = stage_seconds(simulate(tomosim, spec, root))["mesh"]
-        runs = []
+        runs, stolen = [], []
         for _ in range(args.runs):
             forget_all_but_mesh(root / "data" / "store")
-            start = time.perf_counter()
-            manifest = simulate(tomosim, spec, root)
-            runs.append((time.perf_counter() - start, manifest))
+            with Stolen() as taken:
+                start = time.perf_counter()
+                manifest = simulate(tomosim, spec, root)
+                runs.append((time.perf_counter() - start, manifest))
+            stolen.append(taken.share)
         in_one_process = warm_runs(SimulationSpec.parse(spec.read_bytes()), Store(root / "data" / "store"), args.runs)
     stages = {
         name: round(statistics.median(stage_seconds(m)[name] for _, m in runs), 3)
@@ -56,7 +60,9 @@ def main() -> int:
                 "runs": args.runs,
                 "command_seconds_without_mesh": round(statistics.median(t for t, _ in runs), 2),
                 "pipeline_seconds_without_mesh": round(statistics.median(m["seconds"] for _, m in runs), 2),
-                "warm_process_seconds_without_mesh": round(statistics.median(in_one_process), 2),
+                "warm_process_seconds_without_mesh": round(statistics.median(t for t, _ in in_one_process), 2),
+                "warm_process_runs": in_one_process,
+                "stolen": stolen,
                 "mesh_seconds": mesh_seconds,
                 "stage_seconds": stages,
                 "peak_memory_GB": round(max(memory.values()) / 1e9, 2),
@@ -77,14 +83,17 @@ def simulate(tomosim: list[str], spec: Path, root: Path) -> dict[str, Any]:
     return manifest
 
 
-def warm_runs(spec: SimulationSpec, store: Store, runs: int) -> list[float]:
-    """Seconds of the pipeline in a process that has run it before, as those of a worker have."""
+def warm_runs(spec: SimulationSpec, store: Store, runs: int) -> list[tuple[float, float]]:
+    """(seconds, share of the processors that was stolen) of the pipeline in a process that has run it before, as those
+    of a worker have."""
     seconds = []
     for _ in range(runs + 1):
         forget_all_but_mesh(store.root)
-        start = time.perf_counter()
-        pipeline.run(spec, store)
-        seconds.append(time.perf_counter() - start)
+        with Stolen() as taken:
+            start = time.perf_counter()
+            pipeline.run(spec, store)
+            took = time.perf_counter() - start
+        seconds.append((round(took, 2), taken.share))
     return seconds[1:]
 
 
