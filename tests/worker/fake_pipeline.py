@@ -1,6 +1,7 @@
 """A pipeline for tests of the service: two stages, and whatever misbehaviour the name of the case asks for.
 
 slow      four seconds of work in steps       forever   does not come to an end
+slower    ten seconds of it
 silent    sleeps and tells nothing            noise     prints to standard output
 crash     kills its own process (SIGSEGV)     memory    asks for more memory than there is
 gigabyte  fills a gigabyte of memory          refuse    raises a SolverError
@@ -13,6 +14,7 @@ import ctypes
 import json
 import os
 import signal
+import sys
 import time
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -96,9 +98,7 @@ def misbehave(name: str, progress: Any) -> None:
         os._exit(3)
     if name == "silent":
         time.sleep(600)
-    if name in ("slow", "forever"):
-        step = 0
-        while name == "forever" or step < 40:
-            step += 1
-            progress(STAGES[-1], min(0.99, step / 40), f"step {step}, process {os.getpid()}")
-            time.sleep(0.1)
+    steps = {"slow": 40, "slower": 100, "forever": sys.maxsize}.get(name, 0)
+    for step in range(1, steps + 1):
+        progress(STAGES[-1], min(0.99, step / steps), f"step {step}, process {os.getpid()}")
+        time.sleep(0.1)

@@ -169,7 +169,7 @@ def test_from_start_to_stop(start, make_settings, free_port, tmp_path):
         assert service.wait(service.post(name="next"), "succeeded")
 
         # Ctrl-C while one runs and one waits: nothing is left running, nothing is lost.
-        running = service.post(name="slow", seed=6)
+        running = service.post(name="slower", seed=6)  # not over before the signal comes, however busy the machine
         waiting = service.post(name="waiting", seed=7)
         service.computing(running)
         assert service.stop(signal.SIGINT) == 0
