@@ -124,7 +124,8 @@ class StageRecord:
 
     @property
     def digest(self) -> str:
-        """Digest of the outputs: what feeds the keys of later stages. Independent of when and how fast it ran."""
+        """Digest of the outputs: what feeds the keys of later stages (of large outputs their own key may stand for it).
+        Independent of when and how fast it ran."""
         return digest({name: ref.sha256 for name, ref in self.outputs.items()})
 
     @classmethod

@@ -16,6 +16,7 @@ _ODD = np.uint64(0x9E3779B97F4A7C15)
 def array_digest(array: NDArray[Any]) -> str:
     """Hexadecimal digest of the type, shape and content of an array; plane by plane, so a memory map is streamed.
 
+    array: (planes, ...), of any type.
     It tells arrays apart that were not made to look alike, at the speed of memory: a plane is reduced to 64 bytes, and
     only these go through sha256.
     """
@@ -30,7 +31,8 @@ def array_digest(array: NDArray[Any]) -> str:
 
 @njit(cache=True, nogil=True)
 def _mixed(words: NDArray[np.uint64]) -> NDArray[np.uint64]:
-    """One word a column of (n, _LANES): each step is one to one, so a word that differs alone is always seen."""
+    """One word a column, uint64 (_LANES,), of uint64 (n, _LANES): each step is one to one, so a word that differs alone
+    is always seen."""
     lanes = np.zeros(_LANES, np.uint64)
     for k in range(len(words)):
         for lane in range(_LANES):

@@ -43,8 +43,9 @@ _RZ, _CURVATURE, _GUARDED = 0, 2, 3
 
 
 class Operator(NamedTuple):
-    """Upper half storage. row_start: int32 (n + 1,). column: int32 (m,). blocks: (m, 4, 4).
-    coupling: (m, 2, 4), dR_a/dp_b and dR_b/dp_a, the last component 0. compliance: (n,).
+    """Upper half storage. row_start: int32 (n + 1,). column: int32 (m,). blocks: float32 (m, 4, 4), of
+    simcore.fem.linear.Tangent, N/mm (the last row and column mm^2). coupling: float32 (m, 2, 4), dR_a/dp_b and
+    dR_b/dp_a, mm^2, the last component 0. compliance: float32 (n,), N/mm^5.
     first: int32 (PARTS + 1,), rows of the parts. reach: int32 (PARTS,), one more than the last row a part adds to."""
 
     row_start: Array
@@ -74,7 +75,8 @@ def cut(row_start: Array, column: Array) -> tuple[Array, Array]:
 
 
 def multiply(operator: Operator, x: Singles) -> tuple[Singles, Singles]:
-    """(A x, C^-1 B^T x). x: (n, 4), the last component 0; so of the product's last component nothing is of use."""
+    """(A x, float32 (n, 4), N; C^-1 B^T x, float32 (n,), N/mm^2). x: (n, 4), mm, the last component 0; nothing is of
+    use in the last component of the product."""
     work = _Work.of(len(x), guards=0)
     for part in range(PARTS):
         _upper_half(operator, part, x, work.products[part])
@@ -85,7 +87,7 @@ def multiply(operator: Operator, x: Singles) -> tuple[Singles, Singles]:
 
 
 def multiply_coupling(operator: Operator, t: Singles) -> Singles:
-    """B t, (n, 4). t: (n,)."""
+    """B t, float32 (n, 4), N. t: float32 (n,), N/mm^2."""
     work = _Work.of(len(t), guards=0)
     work.products[:], work.pressure[:] = 0.0, t
     _couple(operator, work)
@@ -104,8 +106,8 @@ def solve(
 ) -> tuple[Singles, int, bool]:
     """(x (n, 4), iterations, whether A was positive along every direction); it ends where A is not.
 
-    preconditioner: (n, 4, 4), the last row and column 0. rhs: (n, 4). tolerance: on the root of r . M r, relative to
-    its first value.
+    x: mm. preconditioner: float32 (n, 4, 4), mm/N, the last row and column 0. rhs: float32 (n, 4), N, or any multiple
+    of it. tolerance: on the root of r . M r, relative to its first value.
     """
     work = _Work.of(len(rhs), guards=guarded.vectors.shape[1])
     x, r, direction = empty(*rhs.shape), empty(*rhs.shape), empty(*rhs.shape)

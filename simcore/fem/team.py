@@ -27,7 +27,7 @@ LEAVE = -1
 
 
 def tickets() -> NDArray[np.int64]:
-    """For one computation."""
+    """For one computation: int64 (24,)."""
     return np.zeros(24, np.int64)
 
 
