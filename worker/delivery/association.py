@@ -25,7 +25,7 @@ from pydicom.uid import UID
 from pynetdicom import AE, _config, build_context, evt
 from pynetdicom.association import Association
 from pynetdicom.pdu import P_DATA_TF
-from pynetdicom.pdu_primitives import P_DATA, MaximumLengthNotification
+from pynetdicom.pdu_primitives import A_ASSOCIATE, P_DATA, MaximumLengthNotification
 from pynetdicom.presentation import PresentationContext
 from pynetdicom.transport import AddressInformation, AssociationSocket
 
@@ -421,14 +421,28 @@ def _why_not(
         return AssociationError("connection-timeout", text, again=True)
     if failure is not None:
         return AssociationError("unreachable", f"{where} cannot be reached ({_text(failure)})", again=True)
-    if association.is_rejected:
-        return _rejection(destination, association.acceptor.primitive)
+    if (answer := _answer(association)) is not None:
+        return _rejection(destination, answer)
     if waited >= destination.limits.negotiate_seconds:
         text = f"{where} took the connection but did not answer within {waited:.0f} s: is it a DICOM service, and well?"
         return AssociationError("association-timeout", text, again=True)
     hint = "" if destination.tls is None else " (over TLS: perhaps it wants a certificate of ours)"
     text = f"{where} ended the connection instead of accepting the association{hint}: see the peer's log"
     return AssociationError("association-aborted", text, again=True)
+
+
+def _answer(association: Association) -> Any:
+    """The peer's rejection; None where it sent none."""
+    if association.is_rejected:
+        return association.acceptor.primitive
+    # pynetdicom looks at the state of the socket after it waited for the connection: where the peer's rejection was
+    # quicker than the thread that waits, it takes the closed socket for one that never connected, and reads no answer.
+    with contextlib.suppress(queue.Empty):
+        while True:
+            left = association.dul.to_user_queue.get_nowait()
+            if isinstance(left, A_ASSOCIATE) and left.result in (1, 2):
+                return left
+    return None
 
 
 def _rejection(destination: Destination, answer: Any) -> AssociationError:

@@ -28,15 +28,19 @@ def _end(used):
 
 
 class Scp:
-    """Answers each C-STORE with the next status of a list (the last one again and again)."""
+    """Answers each C-STORE with the next status of a list (the last one again and again).
 
-    def __init__(self, statuses=(0x0000,), classes=(MG, TOMO), syntaxes=None, before=None):
+    strict: takes associations only that call it by its name, PEER.
+    """
+
+    def __init__(self, statuses=(0x0000,), classes=(MG, TOMO), syntaxes=None, before=None, strict=False):
         self.statuses = list(statuses)
         self.before = before
         self.received = []
         self.open = self.most_open = 0
         self._lock = threading.Lock()
         entity = AE("PEER")
+        entity.require_called_aet = strict
         entity.add_supported_context(Verification)
         for uid in classes:
             entity.add_supported_context(uid, syntaxes or ["1.2.840.10008.1.2.1"])

@@ -3,13 +3,14 @@
 import importlib.util
 import signal
 import threading
+import time
 from contextlib import closing
 from pathlib import Path
 
 import pytest
 from pydicom.uid import JPEGLSLossless, RLELossless
 
-from worker.delivery.association import AssociationError, Kind, connect
+from worker.delivery.association import AssociationError, Kind, _Entity, connect
 from worker.delivery.echo import echo
 
 _spec = importlib.util.spec_from_file_location("delivery_peers", Path(__file__).parent / "peers.py")
@@ -56,6 +57,31 @@ def test_a_peer_that_comes_back(room, free_port):
 @pytest.mark.needs_orthanc
 def test_wrong_called_title(room, orthanc):
     row = room.deliver(orthanc().port, room.case(1), called_aet="Peer2")
+    assert (row.state, row.error["code"], row.attempt) == ("failed", "association-rejected", 1)
+    assert "called_aet" in row.error["message"]
+
+
+class Late(threading.Event):
+    """Whoever waits goes on a good while after the event, as on a busy machine."""
+
+    def wait(self, timeout=None):
+        happened = super().wait(timeout)
+        time.sleep(0.5)
+        return happened
+
+
+@pytest.mark.parametrize("ready", [threading.Event, Late])
+def test_a_rejection_quicker_than_the_thread_that_waits_for_the_connection(room, monkeypatch, ready):
+    usual = _Entity._create_socket
+
+    def create(*arguments):
+        made = usual(*arguments)
+        made._ready = ready()
+        return made
+
+    monkeypatch.setattr(_Entity, "_create_socket", create)
+    with closing(Scp(strict=True)) as peer:
+        row = room.deliver(peer.port, room.case(1), called_aet="PEER2")
     assert (row.state, row.error["code"], row.attempt) == ("failed", "association-rejected", 1)
     assert "called_aet" in row.error["message"]
 
