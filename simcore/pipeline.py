@@ -24,6 +24,7 @@ from simcore import __version__, dicom, fem, mesh, phantom, preview, projection,
 from simcore.core import files
 from simcore.core.artifacts import Compression, Phantom, ProjectionStack, Report, TetMesh, Volume
 from simcore.core.progress import Progress
+from simcore.core.progress import silent as no_progress
 from simcore.core.store import Commits, FileRef, Hashing, Store, canonical, digest
 from simcore.dicom.spec import ExportSpec
 from simcore.fem.materials import MaterialSpec
@@ -99,23 +100,32 @@ def _stages(case: Run, spec: SimulationSpec) -> None:
                 lambda folder, *_: _mechanics(folder, spec.compression.material, grown, meshed, compressed),
             )
 
-        def reconstructed(progress: Progress) -> Volume:
+        def made(progress: Progress = no_progress) -> Volume:
             thickness = compressed.artifact.thickness
-            volume = reconstruction.reconstruct(stack.artifact, spec.reconstruction, thickness, progress)
+            return reconstruction.reconstruct(stack.artifact, spec.reconstruction, thickness, progress)
+
+        def reconstructed(progress: Progress) -> Volume:
+            fresh = made(progress)
             beside.start(mechanics)  # from here on there is a core to spare
-            return volume
+            return fresh
+
+        def stored(locate: files.Locate) -> Volume:
+            return files.load_volume(locate) if "volume.npy" in volume.record.outputs else made()
 
         volume = case.stage(
             "reconstruction",
             spec.reconstruction.model_dump(),
             {"projections": stack.key, "compression": compressed},
             reconstructed,
-            files.save_volume,
-            files.load_volume,
+            files.save_volume if spec.reconstruction.is_kept else files.save_volume_facts,
+            stored,
         )
         beside.start(mechanics)
-        beside.start(lambda case: _show(case, grown, warped, stack, volume))
+        if not volume.cached:
+            beside.start(lambda case: _show(case, grown, warped, stack, volume))
         _export(case, spec, grown, stack, volume, warped, compressed)
+    if volume.cached:  # may have to be made again, which no thread beside may do
+        _show(case, grown, warped, stack, volume)
 
 
 def _show(

@@ -124,6 +124,11 @@ def load_stack(locate: Locate) -> ProjectionStack:
 
 def save_volume(folder: Path, volume: Volume) -> None:
     _save(folder, "volume", volume.data)
+    save_volume_facts(folder, volume)
+
+
+def save_volume_facts(folder: Path, volume: Volume) -> None:
+    """Everything but the voxels, for a volume that is made again where it is asked for."""
     _write_meta(
         folder,
         {

@@ -23,8 +23,11 @@ from simcore.fem.materials.by_tissue import ByTissue
 from simcore.fem.materials.published import Published
 from simcore.mesh.spec import LatticeMesh
 from simcore.phantom.lesions import Mass
+from simcore.reconstruction.spec import Sart
 
 SPEC = presets.get("tiny")
+KEPT = Sart(iterations=1)
+"""A reconstruction whose volume is stored."""
 
 
 @pytest.fixture(scope="module")
@@ -183,6 +186,25 @@ def test_a_failing_stage_keeps_what_was_computed(first, monkeypatch):
     assert [s["name"] for s in result.manifest["stages"] if not s["cached"]] == ["reconstruction"]
 
 
+def test_a_volume_that_is_quickly_made_is_made_again_where_it_is_asked_for(first):
+    outputs = {s["name"]: s["outputs"] for s in first.manifest["stages"]}
+    assert list(outputs["reconstruction"]) == ["meta.json"]
+    forget(first.store, {"dicom", "preview"})
+    again = pipeline.run(SPEC, first.store)
+    assert [s["name"] for s in again.manifest["stages"] if not s["cached"]] == ["dicom", "preview"]
+    assert {s["name"]: s["outputs"] for s in again.manifest["stages"]} == outputs
+
+
+def test_a_volume_that_takes_long_is_kept(first, monkeypatch):
+    spec = SPEC.with_(reconstruction=KEPT)
+    made = pipeline.run(spec, first.store).manifest
+    forget(first.store, {"dicom", "preview"})
+    monkeypatch.setattr(pipeline.reconstruction, "reconstruct", None)
+    again = pipeline.run(spec, first.store).manifest
+    assert [s["name"] for s in again["stages"] if not s["cached"]] == ["dicom", "preview"]
+    assert again["files"] == made["files"]
+
+
 def test_stages_are_told_in_order_though_some_run_beside_others(first):
     forget(first.store, {"dicom", "mechanics", "preview"})
     told = []
@@ -193,7 +215,8 @@ def test_stages_are_told_in_order_though_some_run_beside_others(first):
 
 
 def test_what_runs_beside_a_failing_stage_is_kept(first, monkeypatch):
-    forget(first.store, {"dicom", "mechanics", "preview"})
+    last = {"reconstruction", "dicom", "mechanics", "preview"}
+    forget(first.store, last)
 
     def fail(*arguments, **keywords):
         raise SimulationError("no files today")
@@ -204,7 +227,7 @@ def test_what_runs_beside_a_failing_stage_is_kept(first, monkeypatch):
     monkeypatch.undo()
     assert cached(pipeline.run(SPEC, first.store)) == [s for s in pipeline.STAGES if s != "dicom"]
     monkeypatch.setattr(pipeline.preview, "write_previews", fail)
-    forget(first.store, {"dicom", "preview"})
+    forget(first.store, last)
     with pytest.raises(SimulationError, match="no files"):
         pipeline.run(SPEC, first.store)
     monkeypatch.undo()
@@ -214,8 +237,9 @@ def test_what_runs_beside_a_failing_stage_is_kept(first, monkeypatch):
 BUSY = """
 import sys, threading
 import numba, numpy as np
-from simcore import pipeline, presets
+from simcore import pipeline
 from simcore.core.store import Store
+from simcore.spec import SimulationSpec
 
 @numba.njit(parallel=True)
 def busy(values):
@@ -229,7 +253,7 @@ def work():
         busy(np.ones(300_000))
 other = threading.Thread(target=work)
 other.start()
-result = pipeline.run(presets.get("tiny"), Store(sys.argv[1], min_free_bytes=0))
+result = pipeline.run(SimulationSpec.parse(sys.argv[2].encode()), Store(sys.argv[1], min_free_bytes=0))
 ended.set()
 other.join()
 assert result.manifest["computed_stages"] == 2, result.manifest["computed_stages"]
@@ -238,8 +262,11 @@ assert result.manifest["computed_stages"] == 2, result.manifest["computed_stages
 
 def test_mechanics_and_pictures_start_no_parallel_kernel(first):
     """They run beside the export; numba ends the process where two threads start parallel kernels at a time."""
+    spec = SPEC.with_(reconstruction=KEPT)
+    pipeline.run(spec, first.store)
     forget(first.store, {"mechanics", "preview"})
-    done = subprocess.run([sys.executable, "-c", BUSY, str(first.store.root)], capture_output=True, text=True)
+    command = [sys.executable, "-c", BUSY, str(first.store.root), spec.model_dump_json()]
+    done = subprocess.run(command, capture_output=True, text=True)
     assert done.returncode == 0, done.stderr
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Literal, Self
+from typing import ClassVar, Literal, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -47,6 +47,9 @@ class RegionSpec(Spec):
 class VolumeSpec(Spec):
     """Slices parallel to the detector, from the breast support upwards."""
 
+    is_kept: ClassVar[bool] = False
+    """Whether the voxels are stored beside the DICOM volume. Not where they are made about as quickly as that takes."""
+
     slice_mm: float = quantity("distance of the slices", unit="mm", default=1.0, ge=0.1, le=20.0)
     pixel_mm: float | None = Field(
         None,
@@ -68,6 +71,8 @@ class VolumeSpec(Spec):
 
 class IterativeSpec(VolumeSpec):
     """Volumes that are improved until their projections are those measured."""
+
+    is_kept: ClassVar[bool] = True
 
     start: Literal["zero", "backprojection", "fbp"] = Field(
         "zero",
