@@ -36,7 +36,15 @@ from simcore.stages import Beside, CaseProgress, Run, StageResult, silent
 STAGES = ("phantom", "mesh", "fem", "warp", "projection", "reconstruction", "dicom", "mechanics", "preview")
 
 # Raised whenever a stage gives other bytes for the same specification: old results then no longer match.
-VERSIONS = {**dict.fromkeys(STAGES, 1), "phantom": 2, "fem": 2, "projection": 2, "dicom": 3, "preview": 2}
+VERSIONS = {
+    **dict.fromkeys(STAGES, 1),
+    "phantom": 2,
+    "fem": 2,
+    "projection": 2,
+    "reconstruction": 2,
+    "dicom": 3,
+    "preview": 2,
+}
 
 # Outputs that a client gets; the others (label volume, mesh, displacement, ...) stay in the store.
 PUBLIC_STAGES = ("dicom", "mechanics", "preview")

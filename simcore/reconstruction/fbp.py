@@ -133,7 +133,7 @@ def _filter_view(
     def filter_block(start: int) -> None:
         columns = slice(start, min(start + COLUMNS, filtered.shape[1]))
         weighted = _weighted(stack, spec, view, columns, thickness_mm, profile)
-        filtered[:, columns] = filter_columns(weighted, response, length, extend=spec.detector_edge == "extend")
+        filter_columns(weighted, response, length, filtered[:, columns], extend=spec.detector_edge == "extend")
 
     list(pool.map(filter_block, range(0, filtered.shape[1], COLUMNS)))
 

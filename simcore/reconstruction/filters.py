@@ -36,10 +36,12 @@ from typing import Literal
 
 import numpy as np
 import scipy.fft
+from numba import njit
 from numpy.typing import NDArray
 
 from simcore.core.errors import GeometryError
 from simcore.core.geometry import AcquisitionGeometry
+from simcore.reconstruction.fourier import convolve_columns
 from simcore.reconstruction.kinds.fbp import FilteredBackprojection
 
 FloatArray = NDArray[np.float32]
@@ -110,8 +112,17 @@ def ray_weights(geometry: AcquisitionGeometry, view: int, columns: slice) -> Flo
     numerator = np.abs(along_y * source_z + along_z * across) / source_z
     squared = (across**2 + source_z**2).astype(np.float32)
     x = geometry.detector.x_centres()[columns]
-    weights = np.sqrt(squared[:, None] + (x**2).astype(np.float32))
-    return np.asarray(np.divide(numerator.astype(np.float32)[:, None], weights, out=weights))
+    return np.asarray(_over_length(numerator.astype(np.float32), squared, (x**2).astype(np.float32)))
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _over_length(numerator: FloatArray, squared: FloatArray, x_squared: FloatArray) -> FloatArray:
+    """numerator / sqrt(squared + x_squared), (rows, columns)."""
+    weights = np.empty((len(numerator), len(x_squared)), np.float32)
+    for j in range(len(numerator)):
+        for i in range(len(x_squared)):
+            weights[j, i] = numerator[j] / np.sqrt(squared[j] + x_squared[i])
+    return weights
 
 
 def _motion(geometry: AcquisitionGeometry, view: int) -> tuple[float, float]:
@@ -145,17 +156,14 @@ def chord_weights(geometry: AcquisitionGeometry, view: int, columns: slice, thic
     return np.asarray(z / (thickness_mm * np.sqrt(across + z**2)), np.float32)
 
 
-def filter_columns(weighted: FloatArray, response: FloatArray, length: int, extend: bool = False) -> FloatArray:
-    """Every column of float32 (ny, columns) convolved with the filter. Same shape.
+def filter_columns(
+    weighted: FloatArray, response: FloatArray, length: int, out: FloatArray, extend: bool = False
+) -> None:
+    """Every column of float32 (ny, columns) convolved with the filter, into ``out``, of the same shape.
 
     extend: beyond the detector the values of its edges go on, fading out; else they are zero there.
     """
-    ny = weighted.shape[0]
-    if extend:
-        weighted = _extended(weighted, length)
-    spectrum = scipy.fft.rfft(weighted, length, axis=0)
-    spectrum *= response[:, None]
-    return np.asarray(scipy.fft.irfft(spectrum, length, axis=0, overwrite_x=True)[:ny])
+    convolve_columns(_extended(weighted, length) if extend else weighted, response, length, out)
 
 
 def _extended(columns: FloatArray, length: int) -> FloatArray:

@@ -107,12 +107,12 @@ def _add_window(
 
         lane = ir.Constant(_VECTOR, [float(n) for n in range(LANES)])
         zero, one = (ir.Constant(_VECTOR, [value] * LANES) for value in (0.0, 1.0))
-        position = builder.call(multiply_add, [lane, _splat(builder, drift), _splat(builder, first)])
-        falling = builder.fneg(_splat(builder, slope))
+        position = builder.call(multiply_add, [lane, splat(builder, drift), splat(builder, first)])
+        falling = builder.fneg(splat(builder, slope))
         # LLVM keeps these in registers.
         sums = [cgutils.alloca_once_value(builder, write.load(row, _INDEX(0))) for row in range(ROWS)]
         with cgutils.for_range(builder, taps) as loop:
-            tap = _splat(builder, builder.sitofp(loop.index, _FLOAT))
+            tap = splat(builder, builder.sitofp(loop.index, _FLOAT))
             distance = builder.call(absolute, [builder.fsub(position, tap)])
             hat = builder.call(largest, [zero, builder.call(multiply_add, [distance, falling, one])])
             for row in range(ROWS):
@@ -146,7 +146,7 @@ class _Rows:
         self.builder.store(vector, self._pointer(row, _INDEX(0)), align=4)
 
 
-def _splat(builder: Any, scalar: Any) -> Any:
+def splat(builder: Any, scalar: Any) -> Any:
     """The vector with ``scalar`` in every lane."""
     undefined = ir.Constant(_VECTOR, ir.Undefined)
     single = builder.insert_element(undefined, scalar, ir.IntType(32)(0))

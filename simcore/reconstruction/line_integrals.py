@@ -56,7 +56,7 @@ def line_integrals(stack: ProjectionStack, view: int, columns: slice) -> FloatAr
     table = attenuation_table(stack.open_field)
     geometry = stack.geometry
     if geometry.at_rest(view):
-        values = np.asarray(table.take(stack.data[view, :, columns], mode="clip"))
+        values = np.asarray(_look_up(stack.data[view, :, columns], table))
     elif geometry.detector_poses is None:
         rows, scale = _rows_on_turned_detector(geometry, view)
         values = np.asarray(_resample_turned(stack.data[view], table, rows, scale, columns.start, columns.stop))
@@ -66,6 +66,16 @@ def line_integrals(stack: ProjectionStack, view: int, columns: slice) -> FloatAr
     if stack.slab_integral > 0:
         slabs = np.float32(stack.slab_integral) / chord_weights(geometry, view, columns, 1.0)
         values -= slabs if geometry.at_rest(view) else np.where(measured_pixels(geometry, view, columns), slabs, 0)
+    return values
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _look_up(pixels: NDArray[np.uint16], table: FloatArray) -> FloatArray:
+    """The table's entries for every pixel, (rows, columns)."""
+    values = np.empty(pixels.shape, np.float32)
+    for j in range(pixels.shape[0]):
+        for i in range(pixels.shape[1]):
+            values[j, i] = table[pixels[j, i]]
     return values
 
 
