@@ -26,7 +26,8 @@ from simcore.core.artifacts import Phantom
 from simcore.core.geometry import AcquisitionGeometry
 from simcore.core.grid import Grid
 from simcore.core.tissues import MAX_TISSUES
-from simcore.projection import coverage, geometry_of
+from simcore.projection import geometry_of
+from simcore.projection.borders import borders_of
 from simcore.projection.integrals import basis_integrals, line_integrals
 from simcore.projection.materials import attenuation_table
 from simcore.projection.rays import project_rays
@@ -167,12 +168,12 @@ def cost_of_maps(scene: Balls, mu: Array) -> dict[str, float]:
     phantom, geometry = voxels(scene, 0.2), acquisition(0.1)
     basis = np.stack([mu, 0.5 * mu, mu**2, np.sqrt(mu)])
     assert basis.shape == (4, MAX_TISSUES)
-    ends = coverage.row_ends(phantom.labels, mu)
+    borders = borders_of(phantom.labels)
     timings = in_turns(
         {
-            "one": lambda: lambda: line_integrals(phantom, geometry, 0, mu, ends=ends),
-            "four": lambda: lambda: [line_integrals(phantom, geometry, 0, b, ends=ends) for b in basis],
-            "maps": lambda: lambda: basis_integrals(phantom, geometry, 0, basis, ends=ends),
+            "one": lambda: lambda: line_integrals(phantom, geometry, 0, mu, borders=borders),
+            "four": lambda: lambda: [line_integrals(phantom, geometry, 0, b, borders=borders) for b in basis],
+            "maps": lambda: lambda: basis_integrals(phantom, geometry, 0, basis, borders=borders),
         },
         5,
     )

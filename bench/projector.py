@@ -5,7 +5,8 @@
 The same voxels, rays and number of threads, in one process and in turns. Values first: each against Siddon's sums in
 double precision on rays drawn at random from the shadow; and RTK's Joseph against the Joseph of this project's
 reconstruction on the same volume, which shows that both mean the same geometry. What each needs once for all views
-(attenuation per voxel for RTK, ends of voxel rows here) is not timed. ``--scale 4``: edges four times longer, quick.
+(attenuation per voxel for RTK, the borders between tissues here) is not timed. ``--scale 4``: edges four times longer,
+quick.
 Last line: one JSON object; a ratio is time of the peer over ours.
 """
 
@@ -26,7 +27,7 @@ from bench._scene import Scene, chosen_views, cup_c
 from bench._siddon import siddon
 from bench._timing import Timing, in_turns, machine_load
 from simcore.core.geometry import AcquisitionGeometry
-from simcore.projection import coverage
+from simcore.projection.borders import borders_of
 from simcore.projection.integrals import line_integrals
 from simcore.reconstruction.operators import project_slices
 
@@ -46,14 +47,14 @@ def main() -> int:
     _rtk.set_threads(args.threads)
     scene = cup_c(args.scale)
     geometry = chosen_views(scene.geometry, args.views)
-    mu = coverage.present(scene.breast.labels, scene.mu())
-    ends = coverage.row_ends(scene.breast.labels, mu)
+    borders = borders_of(scene.breast.labels)
+    mu = borders.present(scene.mu())
     attenuation = mu.astype(np.float32)[scene.breast.labels]
 
     def ours(sampling: str) -> Callable[[], FloatArray]:
         def run() -> FloatArray:
             views = [
-                line_integrals(scene.breast, geometry, view, mu, sampling=sampling, ends=ends)  # type: ignore[arg-type]
+                line_integrals(scene.breast, geometry, view, mu, sampling=sampling, borders=borders)  # type: ignore[arg-type]
                 for view in range(geometry.views)
             ]
             return np.stack(views)

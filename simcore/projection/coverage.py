@@ -1,4 +1,4 @@
-"""Which tissues and rows of voxels matter, and whether the breast's shadow lies on the detector."""
+"""Whether the breast's shadow lies on the detector."""
 
 from __future__ import annotations
 
@@ -22,91 +22,54 @@ class Shadow:
     x_max: float
 
 
-def present(labels: NDArray[np.uint8], mu: NDArray[np.float64]) -> NDArray[np.float64]:
-    """The table of coefficients with 0 for tissues that no voxel has: kernels spend time on every one that is not 0."""
-    bits = int(np.bitwise_or.reduce(_label_bits(labels)))
-    return np.where((bits >> np.arange(len(mu))) & 1, mu, 0.0)
-
-
-@numba.njit(parallel=True, cache=True)
-def _label_bits(labels: NDArray[np.uint8]) -> NDArray[np.uint32]:
-    """(nz,): bit n is set where a voxel of the slice has label n."""
-    nz, ny, nx = labels.shape
-    bits = np.zeros(nz, np.uint32)
-    for k in numba.prange(nz):
-        for j in range(ny):
-            found = np.uint32(0)
-            for i in range(nx):
-                found |= np.uint32(1) << np.uint32(labels[k, j, i])
-            bits[k] |= found
-    return bits
-
-
-def row_ends(labels: NDArray[np.uint8], mu: NDArray[np.float64]) -> NDArray[np.int32]:
-    """(nz, ny): one more than the last x index with mu > 0 in every row of voxels, 0 where there is none."""
-    ends: NDArray[np.int32] = _row_ends(labels, mu)
-    return ends
-
-
-@numba.njit(parallel=True, cache=True)
-def _row_ends(labels: NDArray[np.uint8], mu: NDArray[np.float64]) -> NDArray[np.int32]:
-    nz, ny, nx = labels.shape
-    ends = np.zeros((nz, ny), np.int32)
-    for k in numba.prange(nz):
-        for j in range(ny):
-            end = nx
-            while end > 0 and mu[labels[k, j, end - 1]] == 0.0:
-                end -= 1
-            ends[k, j] = end
-    return ends
-
-
 def shadows(ends: NDArray[np.int32], grid: Grid, geometry: AcquisitionGeometry) -> list[Shadow]:
     """The shadow of every view; empty where there is no tissue.
 
-    ends: of ``row_ends``; grid: the phantom's, in the detector frame.
+    ends: of ``Borders.row_ends``; grid: the phantom's, in the detector frame.
     """
     if not ends.any():
         return []
+    # Corners of voxels are shared: what ends at a corner is the longest of the four rows around it.
+    padded = np.pad(ends, 1)
+    pairs = np.maximum(padded[1:], padded[:-1])
+    corners = np.maximum(pairs[:, 1:], pairs[:, :-1])
     found = []
     for view in range(geometry.views):
         origin, row = geometry.detector_frame(view)
         pose = np.stack([geometry.sources[view], origin, row, geometry.column_direction(view), geometry.normal(view)])
-        found.append(Shadow(*map(float, _shadow(ends, np.array(grid.corner), np.array(grid.spacing), pose))))
+        found.append(Shadow(*map(float, _shadow(corners, np.array(grid.corner), np.array(grid.spacing), pose))))
     return found
 
 
-@numba.njit(cache=True)
+@numba.njit(cache=True, error_model="numpy")
 def _shadow(
-    ends: NDArray[np.int32], corner: NDArray[np.float64], spacing: NDArray[np.float64], pose: NDArray[np.float64]
+    corners: NDArray[np.int32], corner: NDArray[np.float64], spacing: NDArray[np.float64], pose: NDArray[np.float64]
 ) -> tuple[float, float, float]:
-    """pose: source, origin, directions of rows and columns, normal, (5, 3)."""
+    """corners: (nz + 1, ny + 1), x end of the tissue along each line of voxel corners. pose: source, origin, directions
+    of rows and columns, normal, (5, 3)."""
     y_min, y_max, x_max = np.inf, -np.inf, -np.inf
     source, origin, row, column, normal = pose
     height = 0.0
     for axis in range(3):
         height += normal[axis] * (origin[axis] - source[axis])
-    # Where columns run along x, y on the detector is the same for all of a row of voxels.
+    # Where columns run along x, y on the detector is the same for all of a line.
     near_ends = 0 if column[0] == 1.0 else 1
-    nz, ny = ends.shape
-    for k in range(nz):
-        for j in range(ny):
-            if ends[k, j] == 0:
+    for k in range(corners.shape[0]):
+        z = corner[2] + k * spacing[2] - source[2]
+        for j in range(corners.shape[1]):
+            if corners[k, j] == 0:
                 continue
+            y = corner[1] + j * spacing[1] - source[1]
             for near in range(near_ends + 1):
-                x = corner[0] + (1 - near) * ends[k, j] * spacing[0] - source[0]
-                for upper_z in range(2):
-                    z = corner[2] + (k + upper_z) * spacing[2] - source[2]
-                    for upper_y in range(2):
-                        y = corner[1] + (j + upper_y) * spacing[1] - source[1]
-                        t = height / (normal[0] * x + normal[1] * y + normal[2] * z)
-                        along_x = source[0] + t * x - origin[0]
-                        along_y = source[1] + t * y - origin[1]
-                        along_z = source[2] + t * z - origin[2]
-                        on_row = row[0] * along_x + row[1] * along_y + row[2] * along_z
-                        on_column = column[0] * along_x + column[1] * along_y + column[2] * along_z
-                        y_min, y_max = min(y_min, on_row), max(y_max, on_row)
-                        x_max = max(x_max, on_column)
+                x = corner[0] + (1 - near) * corners[k, j] * spacing[0] - source[0]
+                t = height / (normal[0] * x + normal[1] * y + normal[2] * z)
+                along_x = source[0] + t * x - origin[0]
+                along_y = source[1] + t * y - origin[1]
+                along_z = source[2] + t * z - origin[2]
+                on_row = row[0] * along_x + row[1] * along_y + row[2] * along_z
+                on_column = column[0] * along_x + column[1] * along_y + column[2] * along_z
+                y_min, y_max = min(y_min, on_row), max(y_max, on_row)
+                x_max = max(x_max, on_column)
     return y_min, y_max, x_max
 
 

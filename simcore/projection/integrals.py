@@ -10,7 +10,8 @@ from numpy.typing import NDArray
 from simcore.core.artifacts import Phantom
 from simcore.core.geometry import AcquisitionGeometry
 from simcore.core.tissues import MAX_TISSUES
-from simcore.projection import coverage, plane_prefix, plane_prefix_maps, rays
+from simcore.projection import plane_prefix, plane_prefix_maps, rays
+from simcore.projection.borders import Borders, borders_of
 
 
 def line_integrals(
@@ -21,7 +22,7 @@ def line_integrals(
     *,
     sampling: Literal["exact", "trilinear"] = "exact",
     step_voxels: float = 0.45,
-    ends: NDArray[np.int32] | None = None,
+    borders: Borders | None = None,
     out: NDArray[np.float32] | None = None,
 ) -> NDArray[np.float32]:
     """Integral of the attenuation coefficient from the source to every pixel centre of one view.
@@ -29,7 +30,7 @@ def line_integrals(
     phantom: in the support frame; it is lifted by geometry.support_height.
     mu: (MAX_TISSUES,), 1/mm, e.g. of ``materials.attenuation_table``.
     sampling: exact intersection lengths, or trilinear samples every ``step_voxels`` of the smallest voxel edge.
-    ends: of ``coverage.row_ends``, where it is known already.
+    borders: of the labels, where they are known already.
     returns: float32 (detector.ny, detector.nx), dimensionless; ``out`` where it is given.
     """
     grid = phantom.grid.moved(z=geometry.support_height)
@@ -37,9 +38,9 @@ def line_integrals(
     if out is None:
         out = np.empty((detector.ny, detector.nx), np.float32)
     if sampling == "exact" and plane_prefix.serves(geometry, view):
-        if ends is None:
-            ends = coverage.row_ends(phantom.labels, mu)
-        plane_prefix.project_planes(phantom.labels, ends, grid, geometry, view, mu, out)
+        plane_prefix.project_planes(
+            phantom.labels, borders or borders_of(phantom.labels), grid, geometry, view, mu, out
+        )
     else:
         step = step_voxels * min(grid.spacing) if sampling == "trilinear" else 0.0
         rays.project_rays(phantom.labels, grid, geometry, view, mu, step_mm=step, out=out)
@@ -52,13 +53,13 @@ def basis_integrals(
     view: int,
     basis: NDArray[np.float64],
     *,
-    ends: NDArray[np.int32] | None = None,
+    borders: Borders | None = None,
     out: NDArray[np.float32] | None = None,
 ) -> NDArray[np.float32]:
     """Exact integrals of several maps from the source to every pixel centre of one view, in one pass over the labels.
 
     basis: (maps, MAX_TISSUES), what each map gives each label, e.g. path lengths of basis materials; 1 to 4 maps.
-    ends: of ``coverage.row_ends`` with a value above 0 for every label that any map knows.
+    borders: of the labels, where they are known already.
     returns: float32 (maps, detector.ny, detector.nx), in units of basis times mm; ``out`` where it is given.
     raises: ValueError for another number of maps. Views that plane prefixes cannot serve take a pass for each map.
     """
@@ -71,9 +72,13 @@ def basis_integrals(
     if out is None:
         out = np.empty((len(basis), detector.ny, detector.nx), np.float32)
     if plane_prefix.serves(geometry, view):
-        if ends is None:
-            ends = coverage.row_ends(phantom.labels, np.abs(basis).sum(axis=0))
-        plane_prefix_maps.project_maps(phantom.labels, ends, grid, geometry, view, basis, out)
+        borders = borders or borders_of(phantom.labels)
+        if plane_prefix.serves_lanes(geometry, view, grid):
+            for values, one in zip(basis, out, strict=True):
+                plane_prefix.project_planes(phantom.labels, borders, grid, geometry, view, values, one)
+        else:
+            ends = borders.row_ends(np.abs(basis).sum(axis=0))
+            plane_prefix_maps.project_maps(phantom.labels, ends, grid, geometry, view, basis, out)
     else:
         for values, one in zip(basis, out, strict=True):
             rays.project_rays(phantom.labels, grid, geometry, view, values, out=one)

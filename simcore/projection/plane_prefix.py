@@ -12,7 +12,8 @@ single ray is one term for each column boundary it crosses. The idea of sharing 
 of separable projectors; the lengths are Siddon's (Med. Phys. 12 (1985) 252-255) without approximation.
 
 A detector that is moved or turned about the x axis is served too: each of its rows is replaced by the row of z = 0 that
-the same rays meet, with its own pixel pitch. A stationary detector shares the table of crossings between all rows.
+the same rays meet, with its own pixel pitch. A stationary detector shares the table of crossings between all rows, and
+``plane_prefix_lanes`` serves it three times as fast; paths so flat that they meet many voxel rows in a slice stay here.
 """
 
 from __future__ import annotations
@@ -26,6 +27,8 @@ from numpy.typing import NDArray
 from simcore.core.geometry import AcquisitionGeometry
 from simcore.core.grid import Grid
 from simcore.core.tissues import MAX_TISSUES
+from simcore.projection import plane_prefix_lanes
+from simcore.projection.borders import Borders
 from simcore.projection.crossings import Columns, Crossings, crossings_of
 from simcore.projection.schedule import spread
 
@@ -41,7 +44,7 @@ FAST = {"contract", "nsz", "nnan", "ninf", "arcp"}
 # Plain tuples, for numba cannot hand named ones to its threads.
 
 Voxels = tuple[NDArray[np.uint8], NDArray[np.int32], NDArray[np.uint8], NDArray[np.float32]]
-"""labels (nz, ny, nx); ends (nz, ny), see ``coverage.row_ends``; codes and values, see ``_codes``."""
+"""labels (nz, ny, nx); ends (nz, ny), see ``Borders.row_ends``; codes and values, see ``_codes``."""
 
 Rows = tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]
 """What the rays of a detector row have in common, each (rows,): bottom_y and top_y, where they enter and leave the
@@ -56,9 +59,17 @@ def serves(geometry: AcquisitionGeometry, view: int) -> bool:
     return bool(along_x and geometry.sources[view, 0] < edge + geometry.detector.pixel / 2)
 
 
+def serves_lanes(geometry: AcquisitionGeometry, view: int, grid: Grid) -> bool:
+    """True where ``plane_prefix_lanes`` can do it: all rows share their crossings, and no path meets more than two
+    voxel rows in a slice."""
+    bottom_y, top_y, stretch, _ = tasks_of(geometry, view, grid)[0]
+    flattest = np.abs(top_y - bottom_y).max() / grid.shape[0]
+    return bool(np.all(stretch == stretch[0]) and flattest < plane_prefix_lanes.FLATTEST)
+
+
 def project_planes(
     labels: NDArray[np.uint8],
-    ends: NDArray[np.int32],
+    borders: Borders,
     grid: Grid,
     geometry: AcquisitionGeometry,
     view: int,
@@ -68,12 +79,25 @@ def project_planes(
     """Line integrals of one view.
 
     labels: uint8 (nz, ny, nx) on ``grid``, detector frame, below the source and above the detector.
-    ends: of ``coverage.row_ends``.
+    borders: of the labels.
     mu: (MAX_TISSUES,), 1/mm.
     out: float32 (detector.ny, detector.nx), overwritten; dimensionless, within 1e-5 of double precision.
     """
     rows, columns, tile_rows, order, source_z = tasks_of(geometry, view, grid)
-    _project((labels, ends, *_codes(mu)), rows, columns, tile_rows, order, source_z, grid.spacing[2], out)
+    ends = borders.row_ends(np.abs(mu))
+    if serves_lanes(geometry, view, grid):
+        plane_prefix_lanes.project_lanes(
+            (borders.start, borders.packed, borders.falls(mu), *borders.shape),
+            rows,
+            columns,
+            spread(-(-len(rows[0]) // plane_prefix_lanes.LANES)),
+            int(ends.max()),
+            source_z,
+            grid.spacing[2],
+            out,
+        )
+    else:
+        _project((labels, ends, *_codes(mu)), rows, columns, tile_rows, order, source_z, grid.spacing[2], out)
 
 
 def tasks_of(

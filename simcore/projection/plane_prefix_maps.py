@@ -37,7 +37,7 @@ MAPS = 4
 
 FloatArray = NDArray[np.float32]
 Labels = tuple[NDArray[np.uint8], NDArray[np.int32], FloatArray]
-"""labels (nz, ny, nx); ends (nz, ny), see ``coverage.row_ends``; table of MAPS numbers for each label and for none."""
+"""labels (nz, ny, nx); ends (nz, ny), see ``Borders.row_ends``; table of MAPS numbers for each label and for none."""
 
 
 def project_maps(

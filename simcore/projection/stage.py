@@ -13,6 +13,7 @@ from simcore.core.progress import Progress
 from simcore.core.tissues import Tissue
 from simcore.projection import coverage
 from simcore.projection.acquisition import geometry_of
+from simcore.projection.borders import borders_of
 from simcore.projection.integrals import line_integrals
 from simcore.projection.materials import attenuation_table
 from simcore.projection.poses import check_poses
@@ -35,9 +36,9 @@ def project_views(
             code="open-field-too-large",
         )
     mu = attenuation_table(physics.attenuation)
-    used = coverage.present(phantom.labels, mu)
-    ends = coverage.row_ends(phantom.labels, used)
-    shadows = coverage.shadows(ends, grid, geometry)
+    borders = borders_of(phantom.labels)
+    used = borders.present(mu)
+    shadows = coverage.shadows(borders.row_ends(used), grid, geometry)
     beyond = coverage.truncation(shadows, geometry)
     if beyond and acquisition.truncation == "refuse":
         raise GeometryError(
@@ -55,7 +56,7 @@ def project_views(
         progress(view / geometry.views, f"view {view + 1} of {geometry.views}")
         line_integrals(
             phantom, by_rays, view, used,
-            sampling=physics.sampling, step_voxels=physics.step_voxels, ends=ends, out=integrals,
+            sampling=physics.sampling, step_voxels=physics.step_voxels, borders=borders, out=integrals,
         )  # fmt: skip
         if upright > 0.0:
             add_slabs(upright, by_rays, view, integrals)
