@@ -16,10 +16,14 @@ from simcore.core.tissues import MAX_TISSUES
 from simcore.warp.maps import TetMaps
 from simcore.warp.pieces import Pieces
 
-SLAB_ROWS = 8
+SLAB_ROWS = 16
 EACH_BYTE = np.uint64(0x0101010101010101)
 FLAT = 1e-11
 """A weight that changes less than this from voxel to voxel along x counts as constant along x."""
+BITS = 32
+UNIT = float(1 << BITS)
+"""Places in the source are followed as integers of 1 / UNIT of a voxel: off by less than a millionth after a row."""
+ROUNDING = 1e-6
 
 
 def rasterise(pieces: Pieces, maps: TetMaps, source: NDArray[np.uint8], out: NDArray[np.uint8]) -> int:
@@ -75,51 +79,105 @@ def _rasterise(
     stride = 7 if slabs % 7 else 5 if slabs % 5 else 1
     for task in numba.prange(slabs):
         slab = task * stride % slabs
+        planes = np.empty((3, 5, 3))
+        box = np.empty((2, 3), np.int64)
         for entry in range(start[slab], start[slab + 1]):
             p = order[entry]
-            j_first = max(bounds[p, 0, 1], slab * SLAB_ROWS)
-            j_last = min(bounds[p, 1, 1], slab * SLAB_ROWS + SLAB_ROWS - 1)
-            weight = barycentric[tet[p]]
-            place = origin[tet[p]]
-            for k in range(bounds[p, 0, 2], bounds[p, 1, 2] + 1):
-                for j in range(j_first, j_last + 1):
-                    low, high = _interval(weight, slack[p], outside[p], j, k, bounds[p, 0, 0], bounds[p, 1, 0])
-                    if low <= high:
-                        written[slab] += _fill(source, place, low, high, j, k, outside[p] >= 0, out)
+            box[:] = bounds[p]
+            box[0, 1] = max(box[0, 1], slab * SLAB_ROWS)
+            box[1, 1] = min(box[1, 1], slab * SLAB_ROWS + SLAB_ROWS - 1)
+            counts = _planes(barycentric[tet[p]], slack[p], outside[p], planes)
+            written[slab] += _piece(source, origin[tet[p]], planes, counts, box, outside[p] >= 0, out)
     return int(written.sum())
 
 
 @numba.njit(cache=True, error_model="numpy")
-def _interval(
-    weight: NDArray[np.float64], slack: NDArray[np.float64], outside: int, j: int, k: int, first: int, last: int
-) -> tuple[int, int]:
-    """First and last voxel i of row (j, k) in a piece; first > last: none."""
-    low, high = float(first), float(last)
+def _planes(
+    weight: NDArray[np.float64], slack: NDArray[np.float64], outside: int, planes: NDArray[np.float64]
+) -> tuple[int, int, int]:
+    """What bounds a piece, as functions f = f[0] + f[1] j + f[2] k of a row: planes[0] the x it begins at, at the
+    least; planes[1] the x it ends at, at the most; planes[2] what must not be negative. How many there are of each."""
+    counts = [0, 0, 0]
     for n in range(4):
-        value = weight[n, 0] + weight[n, 2] * j + weight[n, 3] * k
         slope = weight[n, 1]
-        if slope > FLAT:
-            low = max(low, -(value + slack[n]) / slope)
-        elif slope < -FLAT:
-            high = min(high, -(value + slack[n]) / slope)
-        elif value < -slack[n]:
-            return 1, 0
-        if n == outside:
-            if slope > FLAT:
-                high = min(high, -value / slope)
-            elif slope < -FLAT:
-                low = max(low, -value / slope)
-            elif value > 0.0:
-                return 1, 0
-    if not low <= high:
-        return 1, 0
-    return math.ceil(low), math.floor(high)
+        for beyond in range(2 if n == outside else 1):
+            value = weight[n, 0] if beyond else weight[n, 0] + slack[n]
+            if abs(slope) > FLAT:
+                kind = int((slope < 0) != (beyond == 1))
+                factor = -1.0 / slope
+            else:
+                kind = 2
+                factor = -1.0 if beyond else 1.0
+            bound = planes[kind, counts[kind]]
+            bound[0], bound[1], bound[2] = value * factor, weight[n, 2] * factor, weight[n, 3] * factor
+            counts[kind] += 1
+    return counts[0], counts[1], counts[2]
 
 
 @numba.njit(cache=True, error_model="numpy")
-def _fill(
+def _piece(
     source: NDArray[np.uint8],
     place: NDArray[np.float64],
+    planes: NDArray[np.float64],
+    counts: tuple[int, int, int],
+    box: NDArray[np.int64],
+    only_air: bool,
+    out: NDArray[np.uint8],
+) -> int:
+    """Labels of the voxels of a piece in a box. With ``only_air``: the number that became tissue.
+
+    Rows are short, nine voxels as a rule: whatever a row needs is a number here, for a view of an array counts
+    references, which takes as long as the row."""
+    nz, ny, nx = source.shape
+    begins, ends, signs = counts
+    x0, xi, xj, xk = place[0, 0], place[0, 1], place[0, 2], place[0, 3]
+    y0, yi, yj, yk = place[1, 0], place[1, 1], place[1, 2], place[1, 3]
+    z0, zi, zj, zk = place[2, 0], place[2, 1], place[2, 2], place[2, 3]
+    step_x, step_y, step_z = np.int64(xi * UNIT), np.int64(yi * UNIT), np.int64(zi * UNIT)
+    written = 0
+    for k in range(box[0, 2], box[1, 2] + 1):
+        for j in range(box[0, 1], box[1, 1] + 1):
+            low, high = float(box[0, 0]), float(box[1, 0])
+            for n in range(begins):
+                low = max(low, planes[0, n, 0] + planes[0, n, 1] * j + planes[0, n, 2] * k)
+            for n in range(ends):
+                high = min(high, planes[1, n, 0] + planes[1, n, 1] * j + planes[1, n, 2] * k)
+            for n in range(signs):
+                if planes[2, n, 0] + planes[2, n, 1] * j + planes[2, n, 2] * k < 0.0:
+                    high = -1.0
+            if not low <= high:
+                continue
+            first, last = math.ceil(low), math.floor(high)
+            if first > last:
+                continue
+            steps = last - first
+            x = x0 + xi * first + xj * j + xk * k
+            y = y0 + yi * first + yj * j + yk * k
+            z = z0 + zi * first + zj * j + zk * k
+            inside = _spans(x, steps * xi, nx) and _spans(y, steps * yi, ny) and _spans(z, steps * zi, nz)
+            if inside and not only_air:
+                at_x, at_y, at_z = np.int64(x * UNIT), np.int64(y * UNIT), np.int64(z * UNIT)
+                for i in range(np.uint64(first), np.uint64(last + 1)):
+                    out[np.uint64(k), np.uint64(j), i] = source[
+                        np.uint64(at_z >> BITS), np.uint64(at_y >> BITS), np.uint64(at_x >> BITS)
+                    ]
+                    at_x += step_x
+                    at_y += step_y
+                    at_z += step_z
+            else:
+                written += _row_at_the_edge(source, x, y, z, xi, yi, zi, first, last, j, k, only_air, out)
+    return written
+
+
+@numba.njit(cache=True, error_model="numpy")
+def _row_at_the_edge(
+    source: NDArray[np.uint8],
+    x: float,
+    y: float,
+    z: float,
+    dx: float,
+    dy: float,
+    dz: float,
     first: int,
     last: int,
     j: int,
@@ -127,41 +185,29 @@ def _fill(
     only_air: bool,
     out: NDArray[np.uint8],
 ) -> int:
-    """Labels of the voxels first..last of row (j, k). With ``only_air``: the number that became tissue."""
+    """Voxels first..last of row (j, k), some of which may lie beyond ``source``; x, y, z: place of the first. With
+    ``only_air``: the number that became tissue."""
     nz, ny, nx = source.shape
-    x = place[0, 0] + place[0, 1] * first + place[0, 2] * j + place[0, 3] * k
-    y = place[1, 0] + place[1, 1] * first + place[1, 2] * j + place[1, 3] * k
-    z = place[2, 0] + place[2, 1] * first + place[2, 2] * j + place[2, 3] * k
-    dx, dy, dz = place[0, 1], place[1, 1], place[2, 1]
-    row = out[k, j]
-    steps = last - first
-    inside = _spans(x, steps * dx, nx) and _spans(y, steps * dy, ny) and _spans(z, steps * dz, nz)
-    if inside and not only_air:
-        for step in range(steps + 1):
-            row[np.uint64(first + step)] = source[
-                np.uint64(z + step * dz), np.uint64(y + step * dy), np.uint64(x + step * dx)
-            ]
-        return 0
     written = 0
-    for step in range(steps + 1):
-        i = first + step
-        if only_air and row[i] != 0:
+    for i in range(first, last + 1):
+        if only_air and out[k, j, i] != 0:
             continue
+        step = i - first
         at_x = max(math.floor(x + step * dx), 0)
         at_y = math.floor(y + step * dy)
         at_z = math.floor(z + step * dz)
         if at_x < nx and 0 <= at_y < ny and 0 <= at_z < nz:
-            row[i] = source[at_z, at_y, at_x]
-            written += only_air and row[i] != 0
+            out[k, j, i] = source[at_z, at_y, at_x]
+            written += only_air and out[k, j, i] != 0
         elif not only_air:
-            row[i] = 0
+            out[k, j, i] = 0
     return written
 
 
 @numba.njit(cache=True)
 def _spans(start: float, change: float, size: int) -> bool:
-    """True where start and start + change both lie in [0, size)."""
-    return min(start, start + change) >= 0.0 and max(start, start + change) < size
+    """True where start and start + change both lie in [0, size), by more than what rounding does on the way."""
+    return min(start, start + change) >= ROUNDING and max(start, start + change) < size - ROUNDING
 
 
 def census(labels: NDArray[np.uint8]) -> NDArray[np.int64]:
