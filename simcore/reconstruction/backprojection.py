@@ -16,8 +16,8 @@ from numpy.typing import NDArray
 
 from simcore.core.geometry import AcquisitionGeometry
 from simcore.core.grid import Grid
-from simcore.reconstruction.interpolation import add_two_rows, row_weights
-from simcore.reconstruction.lanes import ROWS, add_resampled_rows, padded_width, padding
+from simcore.reconstruction.interpolation import row_weights
+from simcore.reconstruction.lanes import LANES, ROWS, add_resampled_rows, mix_vectors, padded_width, padding
 
 FloatArray = NDArray[np.float32]
 Coordinates = NDArray[np.float64]
@@ -71,13 +71,15 @@ def backproject_quantised(
 ) -> tuple[int, int]:
     """Fill voxel rows ``rows`` (y) of every slice of ``out``.
 
-    filtered: float32 (views, ny, columns); pixels beyond its edges count as zero.
+    filtered: float32 (views, ny, columns); pixels beyond its edges count as zero. Copied unless the number of columns
+        is one of ``padded_width``.
     out: uint16 (nz, ny, nx): round((attenuation - intercept) / slope), clipped to 0..65535.
     returns: number of voxels clipped at (0, 65535).
     """
     clipped = np.zeros((-(-(rows.stop - rows.start) // ROWS), 2), np.int64)
+    beside = padded_width(filtered.shape[2]) - filtered.shape[2]
     _backproject_rows(
-        filtered,
+        np.pad(filtered, ((0, 0), (0, 0), (0, beside))) if beside else filtered,
         plan.order,
         plan.group_start,
         plan.row_offset,
@@ -117,24 +119,38 @@ def _backproject_rows(
     """``backproject_quantised`` for blocks of ROWS voxel rows, each of which belongs to one thread."""
     nz, _, nx = out.shape
     _, detector_rows, columns = filtered.shape
+    pixels = filtered.reshape(-1)
     for block in prange(clipped.shape[0]):
         y0 = row_range[0] + block * ROWS
         count = min(ROWS, row_range[1] - y0)
         summed = np.zeros((ROWS, columns + 2 * pad), np.float32)
+        flat = summed.reshape(-1)
         attenuation = np.empty((ROWS, width), np.float32)
         low = high = 0
         for z in range(nz):
             attenuation[:] = 0.0
             for group in range(len(group_start) - 1):
                 for r in range(count):
-                    row = summed[r, pad : pad + columns]
-                    row[:] = 0.0
-                    for k in range(group_start[group], group_start[group + 1]):
-                        view = filtered[order[k]]
-                        position = row_offset[z, k] + (y0 + r) * row_step[z, k]
-                        first, second, lower, upper = row_weights(position, detector_rows)
-                        lower, upper = np.float32(lower * weight[z, k]), np.float32(upper * weight[z, k])
-                        add_two_rows(view[first], view[second], lower, upper, row)
+                    # Two views at a time, mostly those of the tube angles +a and -a.
+                    for k in range(group_start[group], group_start[group + 1], 2):
+                        places, weights = _rows_of(k, order, row_offset, row_step, weight, z, y0 + r, detector_rows)
+                        if k + 1 < group_start[group + 1]:
+                            more = _rows_of(k + 1, order, row_offset, row_step, weight, z, y0 + r, detector_rows)
+                        else:
+                            more = places, (np.float32(0.0), np.float32(0.0))
+                        kept = np.float32(k > group_start[group])
+                        goal = r * summed.shape[1] + pad
+                        lower, upper = places[0] * columns, places[1] * columns
+                        further_lower, further_upper = more[0][0] * columns, more[0][1] * columns
+                        for start in range(0, columns, LANES):
+                            mix_vectors(
+                                pixels,
+                                (lower + start, upper + start, further_lower + start, further_upper + start),
+                                (weights[0], weights[1], more[1][0], more[1][1]),
+                                flat,
+                                goal + start,
+                                kept,
+                            )
                 add_resampled_rows(summed, pad, column_offset[z, group], column_step[z, group], 1.0, attenuation)
             for r in range(count):
                 below, above = _quantise(attenuation[r, :nx], scale, shift, out[z, y0 + r])
@@ -142,6 +158,23 @@ def _backproject_rows(
                 high += above
         clipped[block, 0] = low
         clipped[block, 1] = high
+
+
+@njit(cache=True, error_model="numpy")
+def _rows_of(
+    k: int,
+    order: NDArray[np.int64],
+    row_offset: Coordinates,
+    row_step: Coordinates,
+    weight: FloatArray,
+    z: int,
+    y: int,
+    detector_rows: int,
+) -> tuple[tuple[int, int], tuple[np.float32, np.float32]]:
+    """The two rows, counted over all views, that the k-th view gives voxel row (z, y), and their weights."""
+    first, second, lower, upper = row_weights(row_offset[z, k] + y * row_step[z, k], detector_rows)
+    before = order[k] * detector_rows
+    return (before + first, before + second), (np.float32(lower * weight[z, k]), np.float32(upper * weight[z, k]))
 
 
 def quantise_slices(

@@ -26,6 +26,7 @@ from simcore.reconstruction.filters import (
 )
 from simcore.reconstruction.grids import volume_grid, wanted_grid
 from simcore.reconstruction.kinds.fbp import FilteredBackprojection
+from simcore.reconstruction.lanes import padded_width
 from simcore.reconstruction.line_integrals import line_integrals, lit_columns
 from simcore.reconstruction.volumes import backprojected_volume, seen_columns
 
@@ -90,17 +91,21 @@ def filtered_views(
 
     whole: the volume; the slice thickness filter is exact in its middle. thickness_mm: of the breast.
     columns: of the detector that are needed; all of them where not given.
-    returns: float32 (views, ny, columns), 1/mm; columns beyond the last that holds signal are left out.
+    returns: float32 (views, ny, columns), 1/mm; columns beyond the last that holds signal are left out but for a few
+        of zeros, so that rows begin at whole vectors.
     """
     geometry = stack.geometry
     detector = geometry.detector
     lit = lit_columns(stack) if geometry.stationary else detector.nx
-    filtered = np.empty((geometry.views, detector.ny, lit if columns is None else min(lit, columns)), np.float32)
+    count = lit if columns is None else min(lit, columns)
+    padded = np.empty((geometry.views, detector.ny, padded_width(count)), np.float32)
+    padded[:, :, count:] = 0.0
+    filtered = padded[:, :, :count]
     with ThreadPoolExecutor(numba.get_num_threads()) as pool:
         for view in range(geometry.views):
             progress(view / geometry.views, f"filtering view {view + 1} of {geometry.views}")
             _filter_view(stack, spec, view, whole, thickness_mm, filtered[view], pool)
-    return filtered
+    return padded
 
 
 def _filter_view(

@@ -20,6 +20,7 @@ import numpy as np
 from llvmlite import ir
 from numba import njit
 from numba.core import cgutils, types
+from numba.core.types import UniTuple  # type: ignore[attr-defined]
 from numba.extending import intrinsic
 from numpy.typing import NDArray
 
@@ -28,6 +29,9 @@ FloatArray = NDArray[np.float32]
 LANES = 16
 ROWS = 8
 """Rows resampled together."""
+
+MIXED = 4
+"""Rows that ``mix_vectors`` takes."""
 
 _INDEX = ir.IntType(64)
 _FLOAT = ir.FloatType()
@@ -74,6 +78,42 @@ def add_resampled_rows(
             np.float32(1.0 / reach),
             taps,
         )
+
+
+@intrinsic  # type: ignore[untyped-decorator]
+def mix_vectors(
+    typing: Any, source: Any, places: Any, weights: Any, target: Any, place: Any, kept: Any
+) -> tuple[Any, Any]:
+    """target[place + l] = kept target[place + l] + sum over n < 4 of weights[n] source[places[n] + l], l < 16.
+
+    source, target: float32 (n,), C order. places: four int64. weights: four float32. kept: float32."""
+    signature = types.void(
+        source,
+        UniTuple(types.int64, MIXED),
+        UniTuple(types.float32, MIXED),
+        target,
+        types.int64,
+        types.float32,
+    )
+
+    def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        source_value, places, weights, target_value, place, kept = arguments
+        function = ir.FunctionType(_VECTOR, [_VECTOR] * 3)
+        multiply_add = cgutils.get_or_insert_function(builder.module, function, f"llvm.fmuladd.v{LANES}f32")
+
+        def address(kind: Any, value: Any, at: Any) -> Any:
+            data = context.make_array(kind)(context, builder, value).data
+            return builder.bitcast(builder.gep(data, [at]), _VECTOR.as_pointer())
+
+        goal = address(signature.args[3], target_value, place)
+        total = builder.fmul(splat(builder, kept), builder.load(goal, align=4))
+        for n in range(MIXED):
+            vector = builder.load(address(signature.args[0], source_value, builder.extract_value(places, n)), align=4)
+            total = builder.call(multiply_add, [splat(builder, builder.extract_value(weights, n)), vector, total])
+        builder.store(total, goal, align=4)
+        return context.get_dummy_value()
+
+    return signature, generate
 
 
 @intrinsic  # type: ignore[untyped-decorator]
