@@ -1,10 +1,11 @@
 """The whole paper case, warm: seconds and peak memory of each stage, median of several runs.
 
-    python -m bench.case [--preset paper-cup-c-20] [--runs 3]
+    python -m bench.case [--preset paper-cup-c-20] [--runs 3] [--pause 0]
 
 Every run is a fresh process on a store that holds nothing but the mesh of the first run (fTetWild alone takes longer
 than all the rest, and gives another mesh each time). ``warm_process``: the pipeline in a process that has run it
-before, as a worker's has. ``stolen``: shares of the processors that the machine's host gave to others.
+before, as a worker's has. ``stolen``: shares of the processors that the machine's host gave to others; hosts that
+lend processors by credit give them back after a ``pause``, seconds before every run.
 Last line: one JSON object.
 """
 
@@ -30,6 +31,7 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--preset", default="paper-cup-c-20")
     parser.add_argument("--runs", type=int, default=3)
+    parser.add_argument("--pause", type=float, default=0.0)
     args = parser.parse_args()
     tomosim = [sys.executable, "-m", "tomosim"]
     subprocess.run([*tomosim, "warm-up"], check=True, stdout=sys.stderr)
@@ -41,12 +43,14 @@ def main() -> int:
         runs, stolen = [], []
         for _ in range(args.runs):
             forget_all_but_mesh(root / "data" / "store")
+            time.sleep(args.pause)
             with Stolen() as taken:
                 start = time.perf_counter()
                 manifest = simulate(tomosim, spec, root)
                 runs.append((time.perf_counter() - start, manifest))
             stolen.append(taken.share)
-        in_one_process = warm_runs(SimulationSpec.parse(spec.read_bytes()), Store(root / "data" / "store"), args.runs)
+        store = Store(root / "data" / "store")
+        in_one_process = warm_runs(SimulationSpec.parse(spec.read_bytes()), store, args.runs, args.pause)
     stages = {
         name: round(statistics.median(stage_seconds(m)[name] for _, m in runs), 3)
         for name in stage_seconds(runs[0][1])
@@ -83,12 +87,13 @@ def simulate(tomosim: list[str], spec: Path, root: Path) -> dict[str, Any]:
     return manifest
 
 
-def warm_runs(spec: SimulationSpec, store: Store, runs: int) -> list[tuple[float, float]]:
+def warm_runs(spec: SimulationSpec, store: Store, runs: int, pause_seconds: float = 0.0) -> list[tuple[float, float]]:
     """(seconds, share of the processors that was stolen) of the pipeline in a process that has run it before, as those
     of a worker have."""
     seconds = []
     for _ in range(runs + 1):
         forget_all_but_mesh(store.root)
+        time.sleep(pause_seconds)
         with Stolen() as taken:
             start = time.perf_counter()
             pipeline.run(spec, store)

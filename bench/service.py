@@ -1,6 +1,6 @@
 """What the service costs: over ``tomosim simulate``, in answers a second, for a large study, for what is in the store.
 
-    python -m bench.service [--runs 8] [--part small | paper] [--preset paper-cup-c-50]
+    python -m bench.service [--runs 8] [--part small | paper] [--preset paper-cup-c-50] [--pause 0]
 
 One ``tomosim serve`` on a fresh folder. Overhead: seconds from submission to the final state as a client sees it, less
 the seconds that the pipeline itself took, of new cases on a warm worker; beside it the whole command ``tomosim
@@ -40,7 +40,7 @@ from worker import processes
 CONNECTIONS = 8
 LOAD_SECONDS = 4.0
 STUDY_CASES = 1000
-ACQUISITIONS = ((15, 24.0), (15, 20.0), (13, 30.0), (11, 30.0))
+ACQUISITIONS = ((15, 24.0), (15, 20.0), (15, 30.0), (15, 36.0), (13, 30.0), (11, 30.0))
 """(views, degrees) of the paper's breast, once it is compressed and in the store."""
 
 Json = dict[str, Any]
@@ -53,6 +53,7 @@ def main() -> int:
         "--part", choices=("all", "small", "paper"), default="all", help="paper: the paper's size alone"
     )
     parser.add_argument("--preset", default="paper-cup-c-50", help="the case of the paper's size")
+    parser.add_argument("--pause", type=float, default=0.0, help="seconds of rest before cases of the paper's size")
     args = parser.parse_args()
     with tempfile.TemporaryDirectory(prefix="bench-service-") as folder, served(Path(folder)) as url:
         result: Json = {"load": machine_load()}
@@ -62,7 +63,7 @@ def main() -> int:
                 result |= answers(client, url)
                 result |= study(client)
             if args.part != "small":
-                result |= paper(client, args.preset)
+                result |= paper(client, args.preset, args.pause)
     print(json.dumps(result))
     return 0
 
@@ -186,13 +187,14 @@ def study(client: Client) -> Json:
     return {"study_cases": STUDY_CASES, "study_submission_seconds": round(seconds, 3)}
 
 
-def paper(client: Client, preset: str) -> Json:
+def paper(client: Client, preset: str, pause_seconds: float) -> Json:
     """The paper's case, then acquisitions of the same breast: phantom, mesh, compression and warp are in the store."""
     spec = presets.get(preset)
     first, _ = through(client, spec)
     seconds = []
     for views, degrees in ACQUISITIONS:
         other = spec.with_(acquisition=spec.acquisition.with_(views=views, angular_range_degrees=degrees))
+        time.sleep(pause_seconds)
         with Stolen() as taken:
             took, manifest = through(client, other)
         seconds.append((round(took, 2), taken.share))

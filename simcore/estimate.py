@@ -99,7 +99,7 @@ def estimate(spec: SimulationSpec) -> Estimate:
         "attenuation": 4 * volume,
     }
     output = 4 * stack + 2 * volume + 0.02 * volume + 5e6 + sum(further.get(e, 0) for e in spec.export.extra_objects)
-    storage = output + 0.05 * (before + after) + 2 * stack + 2 * volume
+    storage = output + 0.05 * (before + after) + 2 * stack + (2 * volume if spec.reconstruction.is_kept else 0)
     seconds = 2.0 + (before + 2 * after) / 150e6 + mesh_seconds + stack * 8e-8 + volume * a.views * 1e-9 + output / 3e8
     seconds += pixels * (rays * _view_seconds(spec, cz) - a.views * SECONDS_PER_RAY["planes"])
     return Estimate(

@@ -42,7 +42,7 @@ VERSIONS = {
     "fem": 2,
     "projection": 2,
     "reconstruction": 2,
-    "dicom": 3,
+    "dicom": 4,
     "preview": 2,
 }
 
@@ -184,7 +184,7 @@ def _export(
             warped.artifact,
             compressed.artifact,
             progress,
-            finished=hashing.begin,
+            finished=hashing.finished,
         )
         return {"files": len(names)}
 

@@ -85,29 +85,39 @@ def file_ref(path: Path) -> FileRef:
 
 
 class Hashing:
-    """Digests of files, two at a time: hashing leaves the interpreter to others. One may ``begin`` before all are
-    written."""
+    """Digests of files, two at a time: hashing leaves the interpreter to others. Files that are ``finished`` before
+    others are hashed, and go to the disk, while these are written."""
 
     def __init__(self) -> None:
         self._pool = ThreadPoolExecutor(2, "hash")
+        self._disk = ThreadPoolExecutor(1, "disk")
         self._found: dict[Path, Future[FileRef]] = {}
+        self._synced: list[Future[None]] = []
 
-    def begin(self, path: Path) -> None:
+    def finished(self, path: Path) -> None:
         """``path`` is whole and is not written again."""
+        self._begin(path)
+        self._synced.append(self._disk.submit(_sync_file, path))
+
+    def _begin(self, path: Path) -> None:
         self._found[path] = self._pool.submit(file_ref, path)
 
     def refs(self, paths: dict[str, Path]) -> dict[str, FileRef]:
         """Digest and size of every file, by name."""
         for path in sorted(paths.values(), key=lambda path: -path.stat().st_size):
             if path not in self._found:
-                self.begin(path)
-        return {name: self._found[path].result() for name, path in paths.items()}
+                self._begin(path)
+        found = {name: self._found[path].result() for name, path in paths.items()}
+        for synced in self._synced:
+            synced.result()  # a disk tells of a failure only once
+        return found
 
     def __enter__(self) -> Hashing:
         return self
 
     def __exit__(self, *_: object) -> None:
         self._pool.shutdown(cancel_futures=True)
+        self._disk.shutdown(cancel_futures=True)
 
 
 @dataclass(frozen=True)

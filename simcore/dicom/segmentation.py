@@ -11,7 +11,7 @@ from simcore.core.errors import ExportError
 from simcore.core.grid import Grid
 from simcore.core.tissues import Tissue
 from simcore.dicom.common import Instance, breast_code, code, dimensions, functional_groups, item, items
-from simcore.dicom.resampling import EncodedLabels
+from simcore.dicom.resampling import encode_labels
 from simcore.dicom.study import LABELS, Study, plane_groups, source_volume, volume_series
 
 SOP_CLASS = "1.2.840.10008.5.1.4.1.1.66.7"
@@ -42,11 +42,12 @@ _SEGMENTS: dict[Tissue, tuple[str, _Code, _Code]] = {
 _ALGORITHM = "tomosim ground truth"
 
 
-def label_map(study: Study, encoded: EncodedLabels) -> Instance:
+def label_map(study: Study) -> Instance:
     """Pixel value = segment number = core.tissues.Tissue; one frame a slice of the volume.
 
     raises: ExportError where the phantom holds a label that is no tissue.
     """
+    encoded = encode_labels(study.phantom, study.lookup)
     dataset = study.dataset(LABELS, SOP_CLASS, "SEG")
     grid = study.volume.grid
     slices, rows, columns = grid.shape

@@ -7,7 +7,6 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 from numpy.typing import NDArray
 
 from simcore.core.artifacts import Compression, Phantom, ProjectionStack, Volume
@@ -22,7 +21,7 @@ from simcore.dicom.lesion_segmentation import lesion_segmentation
 from simcore.dicom.lesions import find_lesions
 from simcore.dicom.mammography import mammography_image
 from simcore.dicom.pixels import MAX_BYTES
-from simcore.dicom.resampling import EncodedLabels, Lookup, encode_labels, nearest, sample
+from simcore.dicom.resampling import Lookup, nearest, sample
 from simcore.dicom.segmentation import label_map
 from simcore.dicom.spec import ExportSpec
 from simcore.dicom.study import Study, breast_window
@@ -49,8 +48,7 @@ def write_study(
     """As ``simcore.dicom.export``."""
     _check(case, stack, volume)
     lookup = nearest(compressed.grid.moved(z=stack.geometry.support_height), volume.grid)
-    progress(0.0, "labels and digests")
-    encoded = encode_labels(compressed, lookup)
+    progress(0.0, "digests")
     volume_window = _volume_window(volume, compressed, lookup)
     lesions = find_lesions(compressed, stack.geometry.support_height, volume.grid)
     facts = {
@@ -62,7 +60,8 @@ def write_study(
         "volume": array_digest(volume.data),
         "grid": volume.grid.to_dict(),
         "values": [float(volume.slope), float(volume.intercept)],
-        "labels": array_digest(np.frombuffer(b"".join(encoded.frames), np.uint8)[None]),
+        "labels": array_digest(compressed.labels),
+        "labels_grid": compressed.grid.to_dict(),
         "truth": list(compressed.truth),
         "compression": [float(compression.thickness), float(compression.force_N or 0.0)],
     }
@@ -80,7 +79,7 @@ def write_study(
         projection_window=_projection_window(stack),
         volume_window=volume_window,
     )
-    return _write_all(folder, study, encoded, part(progress, 0.3, 1.0), finished)
+    return _write_all(folder, study, part(progress, 0.1, 1.0), finished)
 
 
 def _check(case: CaseDescription, stack: ProjectionStack, volume: Volume) -> None:
@@ -130,10 +129,8 @@ def _projection_window(stack: ProjectionStack) -> tuple[float, float]:
     return breast_window(breast if breast.size else values)
 
 
-def _write_all(
-    folder: Path, study: Study, encoded: EncodedLabels, progress: Progress, finished: Callable[[Path], None]
-) -> list[str]:
-    planned = list(_planned(study, encoded))
+def _write_all(folder: Path, study: Study, progress: Progress, finished: Callable[[Path], None]) -> list[str]:
+    planned = list(_planned(study))
     # The largest first: who is told of it can read it while the others are written.
     for number, (name, make) in enumerate(sorted(planned, key=lambda entry: entry[0] != _LARGEST)):
         progress(number / len(planned), name)
@@ -146,13 +143,13 @@ def _write_all(
     return [*(name for name, _ in planned), TRUTH_TABLE]
 
 
-def _planned(study: Study, encoded: EncodedLabels) -> Iterator[tuple[str, Callable[[], Instance]]]:
+def _planned(study: Study) -> Iterator[tuple[str, Callable[[], Instance]]]:
     """Name of every file, and what makes its object when its turn comes."""
     for view in range(study.stack.geometry.views):
         yield f"projections/{view + 1:04d}.dcm", partial(mammography_image, study, view)
     yield "projections.dcm", partial(breast_projection_image, study)
     yield _LARGEST, partial(tomosynthesis_image, study)
-    yield "labels.dcm", partial(label_map, study, encoded)
+    yield "labels.dcm", partial(label_map, study)
     if any(len(lesion.voxels) for lesion in study.lesions):
         yield "lesions.dcm", partial(lesion_segmentation, study)
     for extra in study.spec.extra_objects:

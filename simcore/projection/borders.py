@@ -36,8 +36,7 @@ class Borders:
 
     def present(self, mu: NDArray[np.float64]) -> NDArray[np.float64]:
         """The table of coefficients with 0 for tissues that no voxel has: kernels spend time on each that is not 0."""
-        pairs = np.bincount(self.packed & np.uint32(255), minlength=256).reshape(MAX_TISSUES, MAX_TISSUES)
-        return np.where(pairs.sum(axis=0) + pairs.sum(axis=1) > 0, mu, 0.0)
+        return np.where(_labels_in(self.packed) >> np.arange(MAX_TISSUES) & 1, mu, 0.0)
 
     def row_ends(self, mu: NDArray[np.float64]) -> NDArray[np.int32]:
         """(nz, ny): one more than the last x index with mu > 0 in every row of voxels, 0 where there is none."""
@@ -107,6 +106,15 @@ def _eight(typing: Any, row: Any, first: Any) -> tuple[Any, Any]:
         return builder.load(builder.bitcast(place, ir.IntType(64).as_pointer()), align=1)
 
     return types.uint64(row, types.int64), generate
+
+
+@numba.njit(cache=True)
+def _labels_in(packed: NDArray[np.uint32]) -> int:
+    """Bit n is set where a border has label n on either side."""
+    found = np.int64(0)
+    for border in packed:
+        found |= 1 << np.int64(border & 15) | 1 << np.int64(border >> 4 & 15)
+    return int(found)
 
 
 @numba.njit(parallel=True, cache=True)

@@ -226,10 +226,34 @@ def test_a_digest_that_fails_is_told(store, monkeypatch):
     assert list((store.root / "tmp").iterdir()) == []
 
 
+def test_a_disk_that_fails_while_others_are_written_is_told(store, monkeypatch):
+    """It fails once; when the stage is committed it may say that all is well."""
+    told = []
+
+    def failing(path: Path) -> None:
+        told.append(path)
+        if len(told) == 1:
+            raise OSError(errno.EIO, "disk trouble")
+
+    def compute(folder: Path, key: str, hashing: Hashing):
+        (folder / "large").write_text("first")
+        hashing.finished(folder / "large")
+        return {}, 0.0, 0
+
+    monkeypatch.setattr(store_module, "_sync_file", failing)
+    with pytest.raises(OSError, match="disk trouble"):
+        store.run("s", 1, {}, {}, compute)
+    monkeypatch.setattr(store_module, "LARGE_BYTES", 0)
+    told.clear()
+    with pytest.raises(OSError, match="disk trouble"), Commits() as later:
+        store.begin("0" * 64, "s", 1, compute, later)
+    assert store.get("0" * 64) is None
+
+
 def test_a_file_may_be_hashed_before_others_are_written(store):
     def compute(folder: Path, key: str, hashing: Hashing):
         (folder / "large").write_text("first")
-        hashing.begin(folder / "large")
+        hashing.finished(folder / "large")
         (folder / "small").write_text("then")
         return {}, 0.0, 0
 
