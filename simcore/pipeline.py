@@ -184,7 +184,7 @@ def _export(
             warped.artifact,
             compressed.artifact,
             progress,
-            finished=hashing.finished,
+            open_file=hashing.open,
         )
         return {"files": len(names)}
 

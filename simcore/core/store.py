@@ -20,8 +20,10 @@ import contextlib
 import errno
 import fcntl
 import hashlib
+import io
 import json
 import os
+import queue
 import shutil
 import socket
 import tempfile
@@ -30,7 +32,7 @@ from concurrent.futures import Future, ThreadPoolExecutor, wait
 from dataclasses import asdict, dataclass, field
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, BinaryIO
 
 from simcore.core.artifacts import Report
 from simcore.core.errors import StoreError
@@ -84,9 +86,47 @@ def file_ref(path: Path) -> FileRef:
     return FileRef(file_digest(path), path.stat().st_size)
 
 
+class _HashedFile(io.BufferedWriter):
+    """A file that is hashed while it is written, as long as what is written to it cannot change any more (bytes, views
+    of read-only arrays) and is written in order; else afterwards."""
+
+    def __init__(self, path: Path, pool: ThreadPoolExecutor, closed: Callable[[], None]) -> None:
+        super().__init__(io.FileIO(path, "wb"), PIECE_BYTES)
+        self._path = path
+        self._in_order = True
+        self._closed = closed
+        self._pieces: queue.SimpleQueue[Any] = queue.SimpleQueue()
+        self.ref = pool.submit(self._hash)
+
+    def _hash(self) -> FileRef:
+        found, size = hashlib.sha256(), 0
+        while (piece := self._pieces.get()) is not None:
+            found.update(piece)
+            size += memoryview(piece).nbytes
+        return FileRef(found.hexdigest(), size) if self._in_order else file_ref(self._path)
+
+    def write(self, content: Any) -> int:
+        self._in_order &= memoryview(content).readonly
+        if self._in_order:
+            self._pieces.put(content)
+        return super().write(content)
+
+    def seek(self, *arguments: int) -> int:
+        self._in_order = False
+        return super().seek(*arguments)
+
+    def close(self) -> None:
+        if not self.closed:
+            try:
+                super().close()
+                self._closed()
+            finally:
+                self._pieces.put(None)
+
+
 class Hashing:
-    """Digests of files, two at a time: hashing leaves the interpreter to others. Files that are ``finished`` before
-    others are hashed, and go to the disk, while these are written."""
+    """Digests of files, two at a time: hashing leaves the interpreter to others. Files that are ``open``-ed here are
+    hashed while they are written, and go to the disk while others are."""
 
     def __init__(self) -> None:
         self._pool = ThreadPoolExecutor(2, "hash")
@@ -94,19 +134,17 @@ class Hashing:
         self._found: dict[Path, Future[FileRef]] = {}
         self._synced: list[Future[None]] = []
 
-    def finished(self, path: Path) -> None:
-        """``path`` is whole and is not written again."""
-        self._begin(path)
-        self._synced.append(self._disk.submit(_sync_file, path))
-
-    def _begin(self, path: Path) -> None:
-        self._found[path] = self._pool.submit(file_ref, path)
+    def open(self, path: Path) -> BinaryIO:
+        """For writing, once."""
+        file = _HashedFile(path, self._pool, lambda: self._synced.append(self._disk.submit(_sync_file, path)))
+        self._found[path] = file.ref
+        return file
 
     def refs(self, paths: dict[str, Path]) -> dict[str, FileRef]:
         """Digest and size of every file, by name."""
         for path in sorted(paths.values(), key=lambda path: -path.stat().st_size):
             if path not in self._found:
-                self._begin(path)
+                self._found[path] = self._pool.submit(file_ref, path)
         found = {name: self._found[path].result() for name, path in paths.items()}
         for synced in self._synced:
             synced.result()  # a disk tells of a failure only once
@@ -158,7 +196,7 @@ class Begun:
 
 Compute = Callable[[Path, str, Hashing], tuple[Report, float, int]]
 """compute(folder, key, hashing): writes the outputs of a stage below ``folder``; returns (report, seconds, peak memory
-in bytes). It may begin the hashing of files that are finished before others are."""
+in bytes). Files that it opens by ``hashing.open`` are hashed while they are written."""
 
 
 def _completed(record: StageRecord) -> Future[StageRecord]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from pathlib import Path
+from typing import BinaryIO
 
 from simcore.core.artifacts import Compression, Phantom, ProjectionStack, Volume
 from simcore.core.progress import Progress, silent
@@ -11,6 +12,10 @@ from simcore.dicom.identity import CaseDescription
 from simcore.dicom.spec import ExportSpec
 
 __all__ = ["CaseDescription", "ExportSpec", "export"]
+
+
+def _open(path: Path) -> BinaryIO:
+    return open(path, "wb", buffering=1 << 20)
 
 
 def export(
@@ -22,7 +27,7 @@ def export(
     compressed: Phantom,
     compression: Compression,
     progress: Progress = silent,
-    finished: Callable[[Path], None] = lambda path: None,
+    open_file: Callable[[Path], BinaryIO] = _open,
 ) -> list[str]:
     """Write a case below ``folder`` (made where missing) and return the relative names of the files.
 
@@ -34,7 +39,7 @@ def export(
     truth.csv                 the lesions as boxes; see simcore.dicom.truth_table
     and what spec.extra_objects asks for; see simcore.dicom.extras
 
-    finished: told of every object's file when it is whole.
+    open_file: opens a file of an object for writing.
 
     Rows of all images run along x, columns along y. The arrays may be memory maps; pixel data is streamed, so next
     to nothing is held beside them. Nothing depends on the clock: equal arguments give equal bytes.
@@ -43,4 +48,4 @@ def export(
     # Here and not above: the specification is read where nothing may load compiled code.
     from simcore.dicom.writing import write_study
 
-    return write_study(folder, spec, case, stack, volume, compressed, compression, progress, finished)
+    return write_study(folder, spec, case, stack, volume, compressed, compression, progress, open_file)

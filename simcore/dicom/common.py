@@ -5,8 +5,8 @@ from __future__ import annotations
 import json
 from collections.abc import Iterable
 from dataclasses import dataclass
-from pathlib import Path
-from typing import Any
+from io import BytesIO
+from typing import Any, BinaryIO
 
 import numpy as np
 from pydicom.dataset import Dataset, FileMetaDataset
@@ -169,8 +169,8 @@ def set_pixels(dataset: Dataset, frames: Frames, bits: int) -> Instance:
     return Instance(dataset, frames)
 
 
-def write(path: Path, instance: Instance, case: CaseDescription, encoding: str) -> None:
-    """Write a complete DICOM file; nothing in it depends on the clock or the machine.
+def write(file: BinaryIO, instance: Instance, case: CaseDescription, encoding: str) -> None:
+    """Write a complete DICOM file, from its beginning to its end; nothing in it depends on the clock or the machine.
 
     encoding: of the frames; see ``ExportSpec.encoding``.
     """
@@ -184,13 +184,14 @@ def write(path: Path, instance: Instance, case: CaseDescription, encoding: str) 
     meta.ImplementationClassUID = IMPLEMENTATION_UID
     meta.ImplementationVersionName = f"TOMOSIM_{case.software_version}"[:16]
     dataset.file_meta = meta
-    with open(path, "wb", buffering=1 << 20) as file:
-        dcmwrite(file, dataset, enforce_file_format=True)
-        # The pixel data is the last element, so it can be streamed behind the others.
-        if frames is not None and plain:
-            write_plain(file, (0x7FE0, 0x0008) if floats else (0x7FE0, 0x0010), "OF" if floats else "OW", frames)
-        elif frames is not None:
-            write_encoded(file, encoding, frames, dataset.BitsStored)
+    header = BytesIO()
+    dcmwrite(header, dataset, enforce_file_format=True)
+    file.write(header.getvalue())
+    # The pixel data is the last element, so it can be streamed behind the others.
+    if frames is not None and plain:
+        write_plain(file, (0x7FE0, 0x0008) if floats else (0x7FE0, 0x0010), "OF" if floats else "OW", frames)
+    elif frames is not None:
+        write_encoded(file, encoding, frames, dataset.BitsStored)
 
 
 def functional_groups(**macros: Dataset | Iterable[Dataset]) -> Dataset:

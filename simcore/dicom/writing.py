@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, BinaryIO
 
 from numpy.typing import NDArray
 
@@ -43,7 +43,7 @@ def write_study(
     compressed: Phantom,
     compression: Compression,
     progress: Progress,
-    finished: Callable[[Path], None],
+    open_file: Callable[[Path], BinaryIO],
 ) -> list[str]:
     """As ``simcore.dicom.export``."""
     _check(case, stack, volume)
@@ -79,7 +79,7 @@ def write_study(
         projection_window=_projection_window(stack),
         volume_window=volume_window,
     )
-    return _write_all(folder, study, part(progress, 0.1, 1.0), finished)
+    return _write_all(folder, study, part(progress, 0.1, 1.0), open_file)
 
 
 def _check(case: CaseDescription, stack: ProjectionStack, volume: Volume) -> None:
@@ -129,15 +129,15 @@ def _projection_window(stack: ProjectionStack) -> tuple[float, float]:
     return breast_window(breast if breast.size else values)
 
 
-def _write_all(folder: Path, study: Study, progress: Progress, finished: Callable[[Path], None]) -> list[str]:
+def _write_all(folder: Path, study: Study, progress: Progress, open_file: Callable[[Path], BinaryIO]) -> list[str]:
     planned = list(_planned(study))
-    # The largest first: who is told of it can read it while the others are written.
+    # The largest first: it may still be hashed while the others are written.
     for number, (name, make) in enumerate(sorted(planned, key=lambda entry: entry[0] != _LARGEST)):
         progress(number / len(planned), name)
         path = folder / name
         path.parent.mkdir(parents=True, exist_ok=True)
-        write(path, make(), study.case, study.spec.encoding)
-        finished(path)
+        with open_file(path) as file:
+            write(file, make(), study.case, study.spec.encoding)
     (folder / TRUTH_TABLE).write_text(truth_table(study), encoding="utf-8", newline="")
     progress(1.0, "written")
     return [*(name for name, _ in planned), TRUTH_TABLE]

@@ -236,8 +236,8 @@ def test_a_disk_that_fails_while_others_are_written_is_told(store, monkeypatch):
             raise OSError(errno.EIO, "disk trouble")
 
     def compute(folder: Path, key: str, hashing: Hashing):
-        (folder / "large").write_text("first")
-        hashing.finished(folder / "large")
+        with hashing.open(folder / "large") as file:
+            file.write(b"first")
         return {}, 0.0, 0
 
     monkeypatch.setattr(store_module, "_sync_file", failing)
@@ -250,14 +250,23 @@ def test_a_disk_that_fails_while_others_are_written_is_told(store, monkeypatch):
     assert store.get("0" * 64) is None
 
 
-def test_a_file_may_be_hashed_before_others_are_written(store):
+def test_a_file_is_hashed_while_it_is_written(store):
     def compute(folder: Path, key: str, hashing: Hashing):
-        (folder / "large").write_text("first")
-        hashing.finished(folder / "large")
+        with hashing.open(folder / "large") as file:
+            file.write(b"fir")
+            file.write(memoryview(b"st"))
+        with hashing.open(folder / "changed") as file:
+            content = bytearray(b"before")
+            file.write(content)
+            content[:] = b"behind"
+        with hashing.open(folder / "patched") as file:
+            file.write(b"----and more")
+            file.seek(0)
+            file.write(b"head")
         (folder / "small").write_text("then")
         return {}, 0.0, 0
 
     record, _ = store.run("s", 1, {}, {}, compute)
-    for name, text in (("large", b"first"), ("small", b"then")):
+    for name, text in (("large", b"first"), ("changed", b"before"), ("patched", b"headand more"), ("small", b"then")):
         assert record.outputs[name].sha256 == hashlib.sha256(text).hexdigest()
         assert store.path(record.outputs[name]).read_bytes() == text

@@ -15,13 +15,19 @@ from pydicom.pixels import pixel_array
 
 from simcore.core.errors import ExportError
 from simcore.dicom import ExportSpec
-from simcore.dicom.common import Instance, item, set_pixels, write
+from simcore.dicom.common import Instance, item, set_pixels
+from simcore.dicom.common import write as write_to
 from simcore.dicom.pixels import MadeFrames
 from simcore.dicom.run_length import run_length_frame
 
 from .conftest import ALL_EXTRAS, SmallCase, make_case
 
 SYNTAXES = {"jpeg-ls": pydicom.uid.JPEGLSLossless, "rle": pydicom.uid.RLELossless}
+
+
+def write(path, *content):
+    with open(path, "wb") as file:
+        write_to(file, *content)
 
 
 @pytest.fixture(scope="module")
