@@ -61,7 +61,8 @@ def basis_integrals(
     basis: (maps, MAX_TISSUES), what each map gives each label, e.g. path lengths of basis materials; 1 to 4 maps.
     borders: of the labels, where they are known already.
     returns: float32 (maps, detector.ny, detector.nx), in units of basis times mm; ``out`` where it is given.
-    raises: ValueError for another number of maps. Views that plane prefixes cannot serve take a pass for each map.
+    raises: ValueError for another number of maps. Where the detector is at rest the one pass finds the borders between
+        tissues, and each map follows from these; views that plane prefixes cannot serve take a pass for each map.
     """
     if basis.ndim != 2 or not 1 <= len(basis) <= plane_prefix_maps.MAPS or basis.shape[1] != MAX_TISSUES:
         raise ValueError(
