@@ -20,10 +20,8 @@ import contextlib
 import errno
 import fcntl
 import hashlib
-import io
 import json
 import os
-import queue
 import shutil
 import socket
 import tempfile
@@ -32,17 +30,19 @@ from concurrent.futures import Future, ThreadPoolExecutor, wait
 from dataclasses import asdict, dataclass, field
 from functools import partial
 from pathlib import Path
-from typing import Any, BinaryIO
+from typing import Any
 
 from simcore.core.artifacts import Report
 from simcore.core.errors import StoreError
+from simcore.core.hashing import PIECE_BYTES as PIECE_BYTES
+from simcore.core.hashing import FileRef as FileRef
+from simcore.core.hashing import Hashing as Hashing
+from simcore.core.hashing import file_digest as file_digest
+from simcore.core.hashing import file_ref, sync_file
 
 MIN_FREE_BYTES = 1 << 30
 """A stage is not started where the disk has less free space than this."""
 
-
-PIECE_BYTES = 1 << 20
-"""Content is streamed in pieces of this size."""
 
 LARGE_BYTES = 64 << 20
 """Outputs from this size on take a disk so long that it pays to go on meanwhile."""
@@ -58,20 +58,6 @@ def digest(data: Any) -> str:
     return hashlib.sha256(canonical(data)).hexdigest()
 
 
-def file_digest(path: Path) -> str:
-    """sha256 of a file, hexadecimal."""
-    with open(path, "rb") as f:
-        return hashlib.file_digest(f, "sha256").hexdigest()
-
-
-@dataclass(frozen=True)
-class FileRef:
-    """A stored file: digest of its content and size in bytes."""
-
-    sha256: str
-    size: int
-
-
 @dataclass(frozen=True)
 class Stored:
     """A record (name: its key) or an object (name: its digest) of the store. used: when last, seconds since 1970."""
@@ -79,83 +65,6 @@ class Stored:
     name: str
     size: int
     used: float
-
-
-def file_ref(path: Path) -> FileRef:
-    """Digest and size of a file."""
-    return FileRef(file_digest(path), path.stat().st_size)
-
-
-class _HashedFile(io.BufferedWriter):
-    """A file that is hashed while it is written, as long as what is written to it cannot change any more (bytes, views
-    of read-only arrays) and is written in order; else afterwards."""
-
-    def __init__(self, path: Path, pool: ThreadPoolExecutor, closed: Callable[[], None]) -> None:
-        super().__init__(io.FileIO(path, "wb"), PIECE_BYTES)
-        self._path = path
-        self._in_order = True
-        self._closed = closed
-        self._pieces: queue.SimpleQueue[Any] = queue.SimpleQueue()
-        self.ref = pool.submit(self._hash)
-
-    def _hash(self) -> FileRef:
-        found, size = hashlib.sha256(), 0
-        while (piece := self._pieces.get()) is not None:
-            found.update(piece)
-            size += memoryview(piece).nbytes
-        return FileRef(found.hexdigest(), size) if self._in_order else file_ref(self._path)
-
-    def write(self, content: Any) -> int:
-        self._in_order &= memoryview(content).readonly
-        if self._in_order:
-            self._pieces.put(content)
-        return super().write(content)
-
-    def seek(self, *arguments: int) -> int:
-        self._in_order = False
-        return super().seek(*arguments)
-
-    def close(self) -> None:
-        if not self.closed:
-            try:
-                super().close()
-                self._closed()
-            finally:
-                self._pieces.put(None)
-
-
-class Hashing:
-    """Digests of files, two at a time: hashing leaves the interpreter to others. Files that are ``open``-ed here are
-    hashed while they are written, and go to the disk while others are."""
-
-    def __init__(self) -> None:
-        self._pool = ThreadPoolExecutor(2, "hash")
-        self._disk = ThreadPoolExecutor(1, "disk")
-        self._found: dict[Path, Future[FileRef]] = {}
-        self._synced: list[Future[None]] = []
-
-    def open(self, path: Path) -> BinaryIO:
-        """For writing, once."""
-        file = _HashedFile(path, self._pool, lambda: self._synced.append(self._disk.submit(_sync_file, path)))
-        self._found[path] = file.ref
-        return file
-
-    def refs(self, paths: dict[str, Path]) -> dict[str, FileRef]:
-        """Digest and size of every file, by name."""
-        for path in sorted(paths.values(), key=lambda path: -path.stat().st_size):
-            if path not in self._found:
-                self._found[path] = self._pool.submit(file_ref, path)
-        found = {name: self._found[path].result() for name, path in paths.items()}
-        for synced in self._synced:
-            synced.result()  # a disk tells of a failure only once
-        return found
-
-    def __enter__(self) -> Hashing:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self._pool.shutdown(cancel_futures=True)
-        self._disk.shutdown(cancel_futures=True)
 
 
 @dataclass(frozen=True)
@@ -208,11 +117,6 @@ def _completed(record: StageRecord) -> Future[StageRecord]:
 def stage_key(stage: str, version: int, parameters: Any, inputs: dict[str, str]) -> str:
     """Key of a stage: its name and version, its own part of the specification, the digests of its inputs."""
     return digest({"stage": stage, "version": version, "parameters": parameters, "inputs": inputs})
-
-
-def _sync_file(path: Path) -> None:
-    with open(path, "rb") as f:
-        os.fsync(f.fileno())
 
 
 def _sync_folder(path: Path) -> None:
@@ -376,7 +280,7 @@ class Store:
                 path.unlink()
                 os.utime(target)
                 return ref
-        _sync_file(path)
+        sync_file(path)
         path.chmod(0o444)
         path.replace(target)
         _sync_folder(target.parent)
@@ -442,7 +346,7 @@ class Store:
         """As ``commit``, for files that are still being hashed: meanwhile the disk takes them."""
         try:
             for path in paths:
-                _sync_file(path)
+                sync_file(path)
         finally:
             wait([hashed])  # who hashes needs the files, even where the disk does not take them
         self.commit(hashed.result(), folder)

@@ -11,6 +11,7 @@ from pathlib import Path
 
 import pytest
 
+from simcore.core import hashing as hashing_module
 from simcore.core import store as store_module
 from simcore.core.errors import StoreError
 from simcore.core.store import Commits, Hashing, Store, canonical, stage_key
@@ -203,8 +204,8 @@ def test_a_commit_that_fails_is_told(store, monkeypatch):
 def test_large_outputs_are_hashed_beside_what_follows(store, monkeypatch):
     monkeypatch.setattr(store_module, "LARGE_BYTES", 0)
     go_on = threading.Event()
-    hashed = store_module.file_ref
-    monkeypatch.setattr(store_module, "file_ref", lambda path: (go_on.wait(30), hashed(path))[1])
+    hashed = hashing_module.file_ref
+    monkeypatch.setattr(hashing_module, "file_ref", lambda path: (go_on.wait(30), hashed(path))[1])
     with Commits() as later:
         stage = store.begin("0" * 64, "s", 1, write("x"), later)
         assert not stage.record.done()
@@ -219,7 +220,7 @@ def test_a_digest_that_fails_is_told(store, monkeypatch):
     def unreadable(path: Path) -> None:
         raise OSError(errno.EIO, "cannot be read")
 
-    monkeypatch.setattr(store_module, "file_ref", unreadable)
+    monkeypatch.setattr(hashing_module, "file_ref", unreadable)
     with pytest.raises(OSError, match="cannot be read"), Commits() as later:
         store.begin("0" * 64, "s", 1, write("x"), later)
     assert store.get("0" * 64) is None
@@ -240,7 +241,7 @@ def test_a_disk_that_fails_while_others_are_written_is_told(store, monkeypatch):
             file.write(b"first")
         return {}, 0.0, 0
 
-    monkeypatch.setattr(store_module, "_sync_file", failing)
+    monkeypatch.setattr(hashing_module, "sync_file", failing)
     with pytest.raises(OSError, match="disk trouble"):
         store.run("s", 1, {}, {}, compute)
     monkeypatch.setattr(store_module, "LARGE_BYTES", 0)
