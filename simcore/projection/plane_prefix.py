@@ -27,6 +27,7 @@ from numpy.typing import NDArray
 from simcore.core.geometry import AcquisitionGeometry
 from simcore.core.grid import Grid
 from simcore.core.tissues import MAX_TISSUES
+from simcore.core.vectors import LANES
 from simcore.projection import plane_prefix_lanes
 from simcore.projection.borders import Borders
 from simcore.projection.crossings import Columns, Crossings, crossings_of
@@ -90,7 +91,7 @@ def project_planes(
             (borders.start, borders.packed, borders.falls(mu), *borders.shape),
             rows,
             columns,
-            spread(-(-len(rows[0]) // plane_prefix_lanes.LANES)),
+            spread(-(-len(rows[0]) // LANES)),
             int(ends.max()),
             source_z,
             grid.spacing[2],

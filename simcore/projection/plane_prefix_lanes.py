@@ -18,10 +18,10 @@ from numba.core import types
 from numba.extending import intrinsic
 from numpy.typing import NDArray
 
+from simcore.core.vectors import LANES, VECTOR, splat
 from simcore.projection.borders import PLACE_SHIFT
 from simcore.projection.crossings import Columns, Crossings, crossings_of
 
-LANES = 16
 FloatArray = NDArray[np.float32]
 
 Rows = tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]
@@ -34,8 +34,6 @@ FLATTEST = 0.999
 """Voxel rows that a path may pass in a slice: with less than one it turns once at most."""
 
 _INDEX = ir.IntType(64)
-_FLOAT = ir.FloatType()
-_VECTOR = ir.VectorType(_FLOAT, LANES)
 
 
 @numba.njit(parallel=True, cache=True, error_model="numpy")
@@ -178,18 +176,12 @@ def _finish(
 def _address(context: Any, builder: Any, kind: Any, array: Any, place: Any) -> Any:
     """Of the vector at ``place`` of a contiguous float32 array."""
     data = context.make_array(kind)(context, builder, array).data
-    return builder.bitcast(builder.gep(data, [place]), _VECTOR.as_pointer())
-
-
-def _splat(builder: Any, scalar: Any) -> Any:
-    undefined = ir.Constant(_VECTOR, ir.Undefined)
-    single = builder.insert_element(undefined, scalar, ir.IntType(32)(0))
-    return builder.shuffle_vector(single, undefined, ir.Constant(ir.VectorType(ir.IntType(32), LANES), [0] * LANES))
+    return builder.bitcast(builder.gep(data, [place]), VECTOR.as_pointer())
 
 
 def _function(builder: Any, name: str, count: int) -> Any:
     name = f"llvm.{name}.v{LANES}f32"
-    kind = ir.FunctionType(_VECTOR, [_VECTOR] * count)
+    kind = ir.FunctionType(VECTOR, [VECTOR] * count)
     return builder.module.globals.get(name) or ir.Function(builder.module, kind, name)
 
 
@@ -203,7 +195,7 @@ def _grow(typing: Any, target: Any, place: Any, value: Any, weights: Any) -> tup
         weight = builder.load(_address(context, builder, signature.args[3], weights_, _INDEX(0)), align=64)
         multiply_add = _function(builder, "fmuladd", 3)
         builder.store(
-            builder.call(multiply_add, [_splat(builder, value), weight, builder.load(address, align=64)]),
+            builder.call(multiply_add, [splat(builder, value), weight, builder.load(address, align=64)]),
             address,
             align=64,
         )
@@ -233,7 +225,7 @@ def _clear(typing: Any, target: Any, place: Any) -> tuple[Any, Any]:
     def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
         target_, place = arguments
         address = _address(context, builder, signature.args[0], target_, place)
-        builder.store(ir.Constant(_VECTOR, [0.0] * LANES), address, align=64)
+        builder.store(ir.Constant(VECTOR, [0.0] * LANES), address, align=64)
         return context.get_dummy_value()
 
     return types.void(target, types.int64), generate
@@ -248,7 +240,7 @@ def _cross(typing: Any, image: Any, v: Any, sums: Any, b: Any, step: Any, part: 
         address = _address(context, builder, signature.args[0], image_, v)
         total = builder.load(_address(context, builder, signature.args[2], sums_, b), align=64)
         grown = builder.load(_address(context, builder, signature.args[4], step_, b), align=64)
-        total = builder.call(_function(builder, "fmuladd", 3), [_splat(builder, part), grown, total])
+        total = builder.call(_function(builder, "fmuladd", 3), [splat(builder, part), grown, total])
         builder.store(builder.fsub(builder.load(address, align=64), total), address, align=64)
         return context.get_dummy_value()
 
@@ -270,10 +262,10 @@ def _cross_turning(
             builder.load(_address(context, builder, signature.args[n], array, place), align=64)
             for n, array, place in ((2, sums_, b), (4, entered_, b), (5, left_, b), (7, turn_, _INDEX(0)))
         )
-        height = _splat(builder, fraction)
+        height = splat(builder, fraction)
         before = builder.call(_function(builder, "minnum", 2), [height, turn])
         missing = builder.fsub(before, turn)  # of the part up to the turn, at most 0
-        after = builder.fsub(builder.fsub(height, before), builder.fsub(ir.Constant(_VECTOR, [1.0] * LANES), turn))
+        after = builder.fsub(builder.fsub(height, before), builder.fsub(ir.Constant(VECTOR, [1.0] * LANES), turn))
         total = builder.call(multiply_add, [missing, before_turn, total])
         total = builder.call(multiply_add, [after, after_turn, total])
         builder.store(builder.fsub(builder.load(address, align=64), total), address, align=64)

@@ -21,7 +21,7 @@ from numba.extending import intrinsic
 from numpy.typing import NDArray
 
 from simcore.core.artifacts import frozen
-from simcore.reconstruction.lanes import LANES, splat
+from simcore.core.vectors import LANES, VECTOR, splat
 
 FloatArray = NDArray[np.float32]
 RADICES = (4, 2, 3, 5)
@@ -29,8 +29,6 @@ VALUES_IN_CACHE = 320
 """So many rows of two vectors stay in the first-level cache."""
 
 _INDEX = ir.IntType(64)
-_FLOAT = ir.FloatType()
-_VECTOR = ir.VectorType(_FLOAT, LANES)
 
 
 @dataclass(frozen=True)
@@ -201,7 +199,7 @@ def _move(typing: Any, source: Any, start: Any, target: Any, place: Any) -> tupl
         source_value, start, target_value, place = arguments
         pointers = [
             builder.bitcast(
-                builder.gep(context.make_array(kind)(context, builder, value).data, [at]), _VECTOR.as_pointer()
+                builder.gep(context.make_array(kind)(context, builder, value).data, [at]), VECTOR.as_pointer()
             )
             for kind, value, at in (
                 (signature.args[0], source_value, start),
@@ -238,7 +236,7 @@ def _butterfly(radix: int, forward: bool) -> Any:
                 builder.mul(builder.add(first, builder.mul(stride, _INDEX(q))), _INDEX(LANES)) for q in range(radix)
             ]
             pointers = [
-                [builder.bitcast(builder.gep(m, [place]), _VECTOR.as_pointer()) for m in memory] for place in places
+                [builder.bitcast(builder.gep(m, [place]), VECTOR.as_pointer()) for m in memory] for place in places
             ]
             values = [tuple(builder.load(p, align=64) for p in pair) for pair in pointers]
 
@@ -279,7 +277,7 @@ class _Complex:
         )
 
     def multiply_add(self, x: Any, y: Any, z: Any) -> Any:
-        kind = ir.FunctionType(_VECTOR, [_VECTOR] * 3)
+        kind = ir.FunctionType(VECTOR, [VECTOR] * 3)
         name = f"llvm.fmuladd.v{LANES}f32"
         function = self.builder.module.globals.get(name) or ir.Function(self.builder.module, kind, name)
         return self.builder.call(function, [x, y, z])
@@ -309,7 +307,7 @@ class _Complex:
             return value
         if cosine == 0.0 and abs(sine) == 1.0:
             return (self.builder.fneg(imaginary), real) if sine > 0 else (imaginary, self.builder.fneg(real))
-        constants = (ir.Constant(_VECTOR, [float(np.float32(c))] * LANES) for c in (cosine, sine))
+        constants = (ir.Constant(VECTOR, [float(np.float32(c))] * LANES) for c in (cosine, sine))
         return self.times(value, *constants)
 
 

@@ -24,9 +24,10 @@ from numba.core.types import UniTuple  # type: ignore[attr-defined]
 from numba.extending import intrinsic
 from numpy.typing import NDArray
 
+from simcore.core.vectors import LANES, VECTOR, splat
+
 FloatArray = NDArray[np.float32]
 
-LANES = 16
 ROWS = 8
 """Rows resampled together."""
 
@@ -35,7 +36,6 @@ MIXED = 4
 
 _INDEX = ir.IntType(64)
 _FLOAT = ir.FloatType()
-_VECTOR = ir.VectorType(_FLOAT, LANES)
 
 
 def padded_width(count: int) -> int:
@@ -98,12 +98,12 @@ def mix_vectors(
 
     def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
         source_value, places, weights, target_value, place, kept = arguments
-        function = ir.FunctionType(_VECTOR, [_VECTOR] * 3)
+        function = ir.FunctionType(VECTOR, [VECTOR] * 3)
         multiply_add = cgutils.get_or_insert_function(builder.module, function, f"llvm.fmuladd.v{LANES}f32")
 
         def address(kind: Any, value: Any, at: Any) -> Any:
             data = context.make_array(kind)(context, builder, value).data
-            return builder.bitcast(builder.gep(data, [at]), _VECTOR.as_pointer())
+            return builder.bitcast(builder.gep(data, [at]), VECTOR.as_pointer())
 
         goal = address(signature.args[3], target_value, place)
         total = builder.fmul(splat(builder, kept), builder.load(goal, align=4))
@@ -138,15 +138,15 @@ def _add_window(
         rows_value, window, totals_value, start, first, drift, slope, taps = arguments
         read = _Rows(context, builder, signature.args[0], rows_value, window)
         write = _Rows(context, builder, signature.args[2], totals_value, start)
-        function = ir.FunctionType(_VECTOR, [_VECTOR])
+        function = ir.FunctionType(VECTOR, [VECTOR])
         absolute = cgutils.get_or_insert_function(builder.module, function, f"llvm.fabs.v{LANES}f32")
-        function = ir.FunctionType(_VECTOR, [_VECTOR] * 2)
+        function = ir.FunctionType(VECTOR, [VECTOR] * 2)
         largest = cgutils.get_or_insert_function(builder.module, function, f"llvm.maxnum.v{LANES}f32")
-        function = ir.FunctionType(_VECTOR, [_VECTOR] * 3)
+        function = ir.FunctionType(VECTOR, [VECTOR] * 3)
         multiply_add = cgutils.get_or_insert_function(builder.module, function, f"llvm.fmuladd.v{LANES}f32")
 
-        lane = ir.Constant(_VECTOR, [float(n) for n in range(LANES)])
-        zero, one = (ir.Constant(_VECTOR, [value] * LANES) for value in (0.0, 1.0))
+        lane = ir.Constant(VECTOR, [float(n) for n in range(LANES)])
+        zero, one = (ir.Constant(VECTOR, [value] * LANES) for value in (0.0, 1.0))
         position = builder.call(multiply_add, [lane, splat(builder, drift), splat(builder, first)])
         falling = builder.fneg(splat(builder, slope))
         # LLVM keeps these in registers.
@@ -177,17 +177,10 @@ class _Rows:
 
     def _pointer(self, row: int, shift: Any) -> Any:
         address = self.builder.gep(self.data, [self.builder.add(self.starts[row], shift)])
-        return self.builder.bitcast(address, _VECTOR.as_pointer())
+        return self.builder.bitcast(address, VECTOR.as_pointer())
 
     def load(self, row: int, shift: Any) -> Any:
         return self.builder.load(self._pointer(row, shift), align=4)
 
     def store(self, row: int, vector: Any) -> None:
         self.builder.store(vector, self._pointer(row, _INDEX(0)), align=4)
-
-
-def splat(builder: Any, scalar: Any) -> Any:
-    """The vector with ``scalar`` in every lane."""
-    undefined = ir.Constant(_VECTOR, ir.Undefined)
-    single = builder.insert_element(undefined, scalar, ir.IntType(32)(0))
-    return builder.shuffle_vector(single, undefined, ir.Constant(ir.VectorType(ir.IntType(32), LANES), [0] * LANES))
