@@ -237,7 +237,7 @@ def _compress(
     # same all over the breast, their compression.
     meshed = case.stage(
         "mesh",
-        spec.mesh.model_dump(),
+        spec.mesh.parameters(),
         {"phantom": grown if mesh.reads_tissues(spec.mesh) else grown.record.report["outline_sha256"]},
         lambda p: mesh.build(grown.artifact, spec.mesh, p),
         files.save_mesh,

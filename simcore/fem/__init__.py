@@ -27,7 +27,7 @@ def compress(mesh: TetMesh, phantom: Phantom, spec: CompressionSpec, progress: P
     spec: wanted compression, materials, plates, chest wall.
     returns: Compression; forces in N. The plates have moved by the same distance towards the middle.
     raises: SolverError with what to change; on the way of the plates it is a simcore.fem.outcome.CompressionFailed with
-    the last good state. Codes: simcore.fem.outcome.ADVICE, "no-chest-wall", "mixed-strains".
+    the last good state. Codes: simcore.fem.outcome.FAULTS, "no-chest-wall", "mixed-strains".
     """
     # Here and not above: the specification is read where nothing may load compiled code.
     from simcore.fem.compression import compress_mesh

@@ -6,6 +6,7 @@ import math
 
 import numpy as np
 
+from simcore.core.advice import one_of, where
 from simcore.core.artifacts import Compression, Phantom, TetMesh
 from simcore.core.errors import SolverError
 from simcore.core.progress import Progress, part
@@ -19,7 +20,7 @@ from simcore.fem.plate_edge import PlateEdge
 from simcore.fem.press import ElasticPress, Press, RigidPress, SpringPress
 from simcore.fem.report import report, verify
 from simcore.fem.solver import Solver
-from simcore.fem.spec import CompressionSpec
+from simcore.fem.spec import MOST_PERCENT, CompressionSpec
 from simcore.fem.tissues import element_laws
 
 FRICTION_LOAD_STEPS = 10
@@ -98,9 +99,14 @@ def target_of(spec: CompressionSpec, thickness_mm: float) -> Target:
     if spec.thickness_mm is not None:
         percent = 100 * (1 - spec.thickness_mm / thickness_mm)
         if not 0 < percent <= spec.percent:
+            least = thickness_mm * (1 - spec.percent / 100)
+            remedy = one_of(
+                f"thickness_mm below {thickness_mm:.1f}" if percent <= 0 else f"thickness_mm = {least:.1f} or more",
+                where(spec.percent < percent <= MOST_PERCENT, f"percent = {math.ceil(percent)}"),
+            )
             raise SolverError(
                 f"thickness_mm = {spec.thickness_mm:g} is {percent:.1f} % off the uncompressed {thickness_mm:.1f} mm, "
-                f"where more than 0 and at most percent = {spec.percent:g} are allowed; change thickness_mm or percent",
+                f"where more than 0 and at most percent = {spec.percent:g} are allowed; take {remedy}",
                 code="target-not-reached",
             )
-    return Target(percent, spec.force_N, spec.force_limit_N)
+    return Target(percent, spec.force_N, spec.force_limit_N, spec)

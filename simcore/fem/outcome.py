@@ -2,30 +2,101 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 from numpy.typing import NDArray
 
+from simcore.core.advice import one_of, where
 from simcore.core.errors import SolverError
+from simcore.fem.materials.by_tissue import ByTissue
+from simcore.fem.materials.law import Law, LawKind
+from simcore.fem.materials.published import Published
+from simcore.fem.spec import MOST_PERCENT, CompressionSpec
 
-ADVICE = {
-    "inverted-element": "an element would turn inside out, however short the load step; ask for a smaller percent, "
-    "more load_steps, a finer mesh or a smaller poissons_ratio",
-    "not-converged": "Newton's method did not converge within {iterations} iterations, however short the load step; "
-    "ask for a smaller percent, more load_steps, a finer mesh or a smaller poissons_ratio",
-    "unstable-equilibrium": "the tangent stiffness is not positive, the breast would buckle; ask for a smaller "
-    "percent, a law that does not soften or a fixed chest_wall",
+SOFTENING = {LawKind.HENCKY, LawKind.SMALL_STRAIN, LawKind.ST_VENANT_KIRCHHOFF}
+STIFFENING = {LawKind.POLYNOMIAL, LawKind.VERONDA_WESTMANN, LawKind.WELLMAN}
+NEAR_INCOMPRESSIBLE = 10.0
+"""Bulk over shear modulus above which a smaller Poisson's ratio (0.45 gives 9.7) makes a compression easier."""
+
+Remedy = Callable[[CompressionSpec], str | None]
+"""What to change in a specification, None where it is so already."""
+
+FAULTS = {
+    "inverted-element": "an element would turn inside out, however short the load step",
+    "not-converged": "Newton's method did not converge within {iterations} iterations, however short the load step",
+    "unstable-equilibrium": "the tangent stiffness is not positive, the breast would buckle",
     "unstable-material": "the material law loses its stability (St. Venant-Kirchhoff at a principal stretch of 0.577 "
-    "at the latest; the least is {stretch:.3f}); ask for a smaller percent or for strain = hencky",
-    "paddle-turned": "the paddle turns by more than 26 degrees; ask for a stiffer spring or a smaller percent",
-    "force-limit": "the plates press with more than force_limit_N = {limit:g} N; ask for a smaller percent, a softer "
-    "material or a higher limit",
+    "at the latest; the least is {stretch:.3f})",
+    "paddle-turned": "the paddle turns by more than 26 degrees",
+    "force-limit": "the plates press with more than force_limit_N = {limit:g} N",
     "locked-tissue": "the plates press with {pressure:.3g} times Young's modulus of the stiffest tissue on the outline "
-    "of the breast, where at most {limit:g} is meaningful; ask for a smaller percent, a free chest_wall, a wider "
-    "plate_edge_mm or a law that stiffens less",
+    "of the breast, where at most {limit:g} is meaningful",
     "target-not-reached": "the plates press with {force:.4g} N where force_N = {target:g} is wanted and percent "
-    "allows no more; raise percent or lower force_N",
+    "allows no more",
 }
-"""What each code means and what to change; the codes are stable."""
+"""What each code means; the codes are stable."""
+
+
+def _less(spec: CompressionSpec) -> str:
+    if spec.thickness_mm is not None:
+        return "a larger thickness_mm"
+    return "a smaller percent" if spec.force_N is None else "a smaller force_N"
+
+
+def _finer_mesh(spec: CompressionSpec) -> str:
+    return "a finer mesh (mesh.edge_length_mm)"
+
+
+def _poissons_ratio(spec: CompressionSpec) -> str | None:
+    if isinstance(spec.material, Published):
+        return None
+    stiff = any(law.bulk > NEAR_INCOMPRESSIBLE * law.shear for law in laws(spec))
+    return where(stiff, "a smaller poissons_ratio")
+
+
+def _other_law(kinds: set[LawKind], words: str) -> Remedy:
+    return lambda spec: where(any(law.kind in kinds for law in laws(spec)), words)
+
+
+def _fixed_wall(spec: CompressionSpec) -> str | None:
+    return where(spec.chest_wall == "free_in_plane", "chest_wall = 'fixed'")
+
+
+def _free_wall(spec: CompressionSpec) -> str | None:
+    return where(spec.chest_wall != "free_in_plane", "chest_wall = 'free_in_plane'")
+
+
+def _wider_edge(spec: CompressionSpec) -> str | None:
+    return where(spec.chest_wall != "free_in_plane" and spec.plate_edge_mm < 200.0, "a wider plate_edge_mm")
+
+
+def _more_percent(spec: CompressionSpec) -> str | None:
+    return where(spec.percent < MOST_PERCENT, "a larger percent")
+
+
+REMEDIES: dict[str, tuple[Remedy, ...]] = {
+    "inverted-element": (_less, _finer_mesh, _poissons_ratio, _wider_edge),
+    "not-converged": (_less, _finer_mesh, _poissons_ratio, _wider_edge),
+    "unstable-equilibrium": (_less, _other_law(SOFTENING, "a law that does not soften"), _fixed_wall),
+    "unstable-material": (_less, lambda spec: "strain = 'hencky'"),
+    "paddle-turned": (lambda spec: "a stiffer spring_paddle", _less),
+    "force-limit": (_less, lambda spec: "a softer material", lambda spec: "a higher force_limit_N"),
+    "locked-tissue": (_less, _free_wall, _wider_edge, _other_law(STIFFENING, "a law that stiffens less")),
+    "target-not-reached": (_more_percent, lambda spec: "a smaller force_N"),
+}
+"""What to change, by code; of these, what the specification has not already."""
+
+
+def message(code: str, spec: CompressionSpec, **facts: float) -> str:
+    """What happened and what to change in ``spec``."""
+    return f"{FAULTS[code].format(**facts)}; take {one_of(*(remedy(spec) for remedy in REMEDIES[code]))}"
+
+
+def laws(spec: CompressionSpec) -> list[Law]:
+    """The constitutive laws of ``spec``, one for each tissue where they differ."""
+    material = spec.material
+    return list(material.laws().values()) if isinstance(material, ByTissue | Published) else [material.law()]
 
 
 class CompressionFailed(SolverError):

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -11,9 +11,10 @@ from simcore.core.progress import Progress, silent
 from simcore.fem import solver as newton
 from simcore.fem.contact import Contact
 from simcore.fem.materials.linear_elastic import ST_VENANT_KIRCHHOFF_STRETCH
-from simcore.fem.outcome import ADVICE, CompressionFailed
+from simcore.fem.outcome import CompressionFailed, message
 from simcore.fem.press import Press, RigidPress
 from simcore.fem.solver import Counters, LoadStep, Solver, State, StepFailed
+from simcore.fem.spec import CompressionSpec
 from simcore.fem.strain import principal_stretches
 
 SMALLEST_LOAD_STEP = 0.2
@@ -34,11 +35,13 @@ class Target:
 
     percent: compression of the thickness; with ``force`` the most that is allowed on the way to it.
     force: plate force to reach, N. force_limit: plate force that may not be exceeded, N.
+    spec: what was asked for: a failure does not advise what it has already.
     """
 
     percent: float
     force: float | None = None
     force_limit: float | None = None
+    spec: CompressionSpec = field(default_factory=CompressionSpec)
 
 
 @dataclass(frozen=True, eq=False)
@@ -185,7 +188,7 @@ class _Path:
         wanted = f"{self.target.percent:g} %" if self.target.force is None else f"{self.target.force:g} N"
         return CompressionFailed(
             f"compression to {wanted} failed beyond {self.reached:.3g} % ({self.force:.3g} N): "
-            + ADVICE[code].format(**facts),
+            + message(code, self.target.spec, **facts),
             code=code,
             percent=self.reached,
             force_N=self.force,

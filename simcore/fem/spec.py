@@ -10,6 +10,7 @@ from simcore.core.spec_base import Spec, quantity
 from simcore.fem.materials import MaterialSpec
 from simcore.fem.materials.neo_hookean import NeoHookean
 
+MOST_PERCENT = 75.0
 _N_PER_KPA_MM2 = 1e-3
 _STANDARD_GRAVITY = 9.80665
 _DIRECTIONS = {"-x": (-1, 0, 0), "+x": (1, 0, 0), "-y": (0, -1, 0), "+y": (0, 1, 0), "-z": (0, 0, -1), "+z": (0, 0, 1)}
@@ -65,7 +66,9 @@ class CompressionSpec(Spec):
     compressed by ``percent``; or, where one of them is given, to ``thickness_mm`` or to ``force_N``, and then
     ``percent`` is the most that is allowed."""
 
-    percent: float = quantity("reduction of the uncompressed thickness", unit="%", default=50.0, gt=0.0, le=75.0)
+    percent: float = quantity(
+        "reduction of the uncompressed thickness", unit="%", default=50.0, gt=0.0, le=MOST_PERCENT
+    )
     thickness_mm: float | None = Field(
         None,
         gt=0.0,

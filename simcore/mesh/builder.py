@@ -6,6 +6,7 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
+from simcore.core.advice import one_of
 from simcore.core.artifacts import Phantom, TetMesh
 from simcore.core.errors import MeshError
 from simcore.core.progress import Progress, part
@@ -40,7 +41,7 @@ def build_mesh(phantom: Phantom, spec: MeshSpec, progress: Progress) -> TetMesh:
     else:
         nodes, tets = _wild(phantom, surface, spec, edge_length, part(progress, 0.05, 0.9))
     progress(0.9, "numbering the mesh")
-    nodes, volume_error = _with_volume(nodes, tets, surface.volume)
+    nodes, volume_error = _with_volume(nodes, tets, surface.volume, spec)
     nodes, tets = cache_order(nodes, tets)
     wall, skin = wall_and_skin(nodes, tets)
     quality = quality_report(nodes, tets)
@@ -48,7 +49,8 @@ def build_mesh(phantom: Phantom, spec: MeshSpec, progress: Progress) -> TetMesh:
     if isinstance(spec, LatticeMesh) and smallest < MIN_ANGLE_DEG:
         raise MeshError(
             f"the mesh has a dihedral angle of {smallest:.1f} degrees where {MIN_ANGLE_DEG:g} are the least: the "
-            "outline is too rough for the lattice; smooth the labels or use another edge_length_mm",
+            "outline is too rough for the lattice; smooth the labels, take another edge_length_mm or mesh.kind = "
+            "'tetwild' (not with reproducible)",
             code="mesh-quality",
         )
     report = quality | {
@@ -74,6 +76,7 @@ def _wild(
         epsilon=spec.epsilon,
         sizing=sizing_field(phantom, edge_length, spec.border_refinement) if spec.border_refinement > 1 else None,
         threads=numba.get_num_threads(),
+        time_limit_s=spec.time_limit_s,
         progress=progress,
     )
     tets = largest_body(nodes, oriented(nodes, tets))
@@ -82,7 +85,7 @@ def _wild(
 
 
 def _with_volume(
-    nodes: NDArray[np.float64], tets: NDArray[np.int64], volume: float
+    nodes: NDArray[np.float64], tets: NDArray[np.int64], volume: float, spec: MeshSpec
 ) -> tuple[NDArray[np.float64], float]:
     """The mesh scaled about the middle of its wall to the volume of the labels (flat faces cut the curved outline
     short), and the relative error it had before.
@@ -94,13 +97,13 @@ def _with_volume(
     if abs(error) > _MAX_VOLUME_ERROR or each.min() <= 0:
         raise MeshError(
             f"the mesh has {each.sum() / 1e3:.1f} ml where the labels have {volume / 1e3:.1f} ml, and its smallest "
-            f"tetrahedron {each.min():.3g} mm^3; use a smaller edge_length_mm (or epsilon)",
+            f"tetrahedron {each.min():.3g} mm^3; take {one_of(*spec.finer())}",
             code="mesh-volume",
         )
     on_wall = nodes[:, 0] == 0.0
     if not on_wall.any():
         raise MeshError(
-            "no node of the mesh lies on the chest wall; use a smaller edge_length_mm or epsilon", code="mesh-no-wall"
+            f"no node of the mesh lies on the chest wall; take {one_of(*spec.finer())}", code="mesh-no-wall"
         )
     centre = np.array([0.0, *nodes[on_wall, 1:].mean(axis=0)])
     return centre + (nodes - centre) * (1 + error) ** (-1 / 3), error

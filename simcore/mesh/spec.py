@@ -6,7 +6,11 @@ from typing import Annotated, Any, Literal
 
 from pydantic import BeforeValidator, Field
 
+from simcore.core.advice import where
 from simcore.core.spec_base import Spec, quantity
+
+SHORTEST_EDGE_MM = 2.0
+SMALLEST_EPSILON = 1e-5
 
 
 class TetwildMesh(Spec):
@@ -20,14 +24,14 @@ class TetwildMesh(Spec):
         "the same number of tetrahedra",
         unit="mm",
         default=5.5,
-        ge=2.0,
+        ge=SHORTEST_EDGE_MM,
         le=40.0,
     )
     epsilon: float = quantity(
         "largest distance of the mesh surface from the outline, relative to the diagonal of the bounding box",
         unit="1",
         default=1e-3,
-        ge=1e-5,
+        ge=SMALLEST_EPSILON,
         le=1e-2,
     )
     border_refinement: float = quantity(
@@ -37,10 +41,30 @@ class TetwildMesh(Spec):
         ge=1.0,
         le=4.0,
     )
+    time_limit_s: float = quantity(
+        "time after which the mesher is stopped and the case fails; outlines with edges and flat sides, which no "
+        "breast has, can take it minutes; changes no mesh",
+        unit="s",
+        default=1800.0,
+        ge=1.0,
+        le=86400.0,
+    )
 
     @classmethod
     def example(cls) -> TetwildMesh:
         return cls()
+
+    def parameters(self) -> dict[str, Any]:
+        """What the mesh depends on."""
+        return self.model_dump(exclude={"time_limit_s"})
+
+    def finer(self) -> tuple[str | None, ...]:
+        """Remedies for a mesh that follows its outline too loosely, of those that are left."""
+        return (
+            where(self.edge_length_mm > SHORTEST_EDGE_MM, f"an edge_length_mm below {self.edge_length_mm:g}"),
+            where(self.epsilon > SMALLEST_EPSILON, f"an epsilon below {self.epsilon:g}"),
+            "mesh.kind = 'lattice'",
+        )
 
 
 class LatticeMesh(Spec):
@@ -54,13 +78,24 @@ class LatticeMesh(Spec):
         "the same number of tetrahedra",
         unit="mm",
         default=5.5,
-        ge=2.0,
+        ge=SHORTEST_EDGE_MM,
         le=20.0,
     )
 
     @classmethod
     def example(cls) -> LatticeMesh:
         return cls()
+
+    def parameters(self) -> dict[str, Any]:
+        """What the mesh depends on."""
+        return self.model_dump()
+
+    def finer(self) -> tuple[str | None, ...]:
+        """Remedies for a mesh that follows its outline too loosely, of those that are left."""
+        return (
+            where(self.edge_length_mm > SHORTEST_EDGE_MM, f"an edge_length_mm below {self.edge_length_mm:g}"),
+            "mesh.kind = 'tetwild' (not with reproducible)",
+        )
 
 
 def _with_kind(data: Any) -> Any:

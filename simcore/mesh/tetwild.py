@@ -29,7 +29,6 @@ from simcore.core.progress import Progress, silent
 if TYPE_CHECKING:  # the child has no use for compiled code
     from simcore.mesh.sizing import SizingField
 
-TIMEOUT_S = 1800.0
 _POLL_S = 0.2
 _PR_SET_PDEATHSIG = 1
 
@@ -42,7 +41,7 @@ def tetrahedralize(
     epsilon: float,
     sizing: SizingField | None = None,
     threads: int = 1,
-    timeout_s: float = TIMEOUT_S,
+    time_limit_s: float = 1800.0,
     progress: Progress = silent,
 ) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
     """Tetrahedra inside a closed surface.
@@ -50,8 +49,10 @@ def tetrahedralize(
     points: float64 (n, 3), mm; triangles: int32 (f, 3).
     edge_length: wanted, mm; epsilon: largest distance from the surface over the diagonal of the bounding box.
     sizing: wanted edge lengths that differ from place to place; ``edge_length`` where it does not reach.
+    time_limit_s: after which the child is killed.
     returns: nodes float64 (n', 3), tets int64 (m, 4), of any orientation. Not bit-reproducible.
-    raises: MeshError with the last lines the mesher wrote; whatever ``progress`` raises (the child is killed).
+    raises: MeshError with what is left to do and the last lines the mesher wrote; whatever ``progress`` raises (the
+        child is killed).
     """
     with tempfile.TemporaryDirectory(prefix="tetwild-") as name:
         folder = Path(name)
@@ -65,9 +66,9 @@ def tetrahedralize(
                 [sys.executable, "-m", "simcore.mesh.tetwild", str(os.getpid())],
                 cwd=folder, env=_environment(), stdin=subprocess.DEVNULL, stdout=log, stderr=log,
             )  # fmt: skip
-            code = _wait(child, timeout_s, progress)
+            code = _wait(child, time_limit_s, progress)
         if code != 0:
-            raise _failure(code, (folder / "log").read_text(errors="replace"), timeout_s)
+            raise _failure(code, (folder / "log").read_text(errors="replace"), time_limit_s)
         with np.load(folder / "tets.npz") as result:
             return result["nodes"], result["tets"]
 
@@ -86,10 +87,10 @@ def _environment() -> dict[str, str]:
     return {**os.environ, "PYTHONPATH": os.pathsep.join([root, known] if known else [root])}
 
 
-def _wait(child: subprocess.Popen[bytes], timeout_s: float, progress: Progress) -> int | None:
-    """Exit status, None after ``timeout_s``; the child never outlives this call."""
+def _wait(child: subprocess.Popen[bytes], time_limit_s: float, progress: Progress) -> int | None:
+    """Exit status, None after ``time_limit_s``; the child never outlives this call."""
     try:
-        for k in range(int(timeout_s / _POLL_S) + 1):
+        for k in range(int(time_limit_s / _POLL_S) + 1):
             try:
                 return child.wait(_POLL_S)
             except subprocess.TimeoutExpired:
@@ -101,20 +102,30 @@ def _wait(child: subprocess.Popen[bytes], timeout_s: float, progress: Progress) 
             child.wait()
 
 
-def _failure(code: int | None, log: str, timeout_s: float) -> MeshError:
+def _failure(code: int | None, log: str, time_limit_s: float) -> MeshError:
     last = log.strip().splitlines()[-8:]
     said = " Its last lines: " + " | ".join(last) if last else ""
     # What C++ cannot allocate (a stack of a thread as well) ends in abort() or, where the binding caught it, in Python.
     aborted = code == -signal.SIGABRT and any(words in log for words in ("std::bad_alloc", "pthread_create has failed"))
     if aborted or (code and any("MemoryError" in line for line in last)):
-        return MeshMemoryError(f"the mesher needed more memory than it may use; take a larger edge_length_mm.{said}")
+        return MeshMemoryError(
+            f"the mesher needed more memory than it may use; take a larger edge_length_mm or mesh.kind = "
+            f"'lattice'.{said}"
+        )
     if code is None:
-        what = f"did not finish within {timeout_s:g} s"
-    elif code < 0:
+        return MeshError(
+            f"fTetWild did not finish within mesh.time_limit_s = {time_limit_s:g} s; take a larger edge_length_mm, "
+            f"mesh.kind = 'lattice', which takes seconds, or a longer time_limit_s.{said}",
+            code="mesh-time-limit",
+        )
+    if code < 0:
         what = f"was ended by {signal.Signals(-code).name}"
     else:
         what = f"failed with exit status {code}"
-    return MeshError(f"the mesher {what}; try another edge_length_mm or epsilon.{said}")
+    return MeshError(
+        f"fTetWild {what}; take mesh.kind = 'lattice', which meshes by another way, or another edge_length_mm or "
+        f"epsilon.{said}"
+    )
 
 
 def _die_with_parent(parent: int) -> None:

@@ -15,6 +15,7 @@ import numpy as np
 from numba import njit, prange
 from numpy.typing import NDArray
 
+from simcore.core.advice import one_of, where
 from simcore.core.artifacts import Phantom, Report
 from simcore.core.errors import PhantomError
 from simcore.core.grid import Grid
@@ -189,8 +190,13 @@ def _report(breast: Breast, census: Census) -> Report:
         raise PhantomError(
             f"glandularity = {spec.glandularity:g} was met only as {met:.3f} with "
             f"{spec.compartments.count} compartments (allowed: {GLANDULARITY_TOLERANCE:g} off): "
-            "take more compartments, thinner ligaments or smaller voxels"
-            + (", or fewer or thinner ducts" if spec.ducts else "")
+            + "take "
+            + one_of(
+                "more compartments",
+                where(spec.compartments.ligament_mm > 0, "thinner ligaments"),
+                "smaller voxels",
+                where(spec.ducts is not None, "fewer or thinner ducts"),
+            )
         )
     voxel_ml = shape.grid.voxel_volume * 1e-3
     volumes = {

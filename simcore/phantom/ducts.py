@@ -13,6 +13,7 @@ import numpy as np
 from numba import njit, prange
 from numpy.typing import NDArray
 
+from simcore.core.advice import one_of, where
 from simcore.core.errors import PhantomError
 from simcore.core.tissues import MAX_TISSUES, Tissue
 from simcore.phantom.glandularity import Compartments
@@ -63,7 +64,8 @@ def grow_ducts(
     if len(points) < spec.ducts.trees:
         raise PhantomError(
             f"ducts.trees = {spec.ducts.trees} find too little gland in a breast of glandularity = "
-            f"{spec.glandularity:g}: take fewer trees or a higher glandularity"
+            f"{spec.glandularity:g}: take "
+            + one_of(where(spec.ducts.trees > 1, "fewer trees"), "a higher glandularity")
         )
     pieces: list[NDArray[np.float64]] = []
     lobes = _lobes(points, spec.ducts.trees)

@@ -73,14 +73,23 @@ def _shadow(
     return y_min, y_max, x_max
 
 
+def beyond_y(found: list[Shadow], geometry: AcquisitionGeometry) -> bool:
+    """Whether shadows reach beyond the detector along the tube travel."""
+    return _y_reach(found) > geometry.detector.ny * geometry.detector.pixel / 2
+
+
+def _y_reach(found: list[Shadow]) -> float:
+    return max((max(-s.y_min, s.y_max) for s in found), default=0.0)
+
+
 def truncation(found: list[Shadow], geometry: AcquisitionGeometry) -> str:
     """Where shadows reach beyond the detector, in words; empty where they do not."""
     detector = geometry.detector
     half, depth = detector.ny * detector.pixel / 2, detector.nx * detector.pixel
-    y_reach = max((max(-s.y_min, s.y_max) for s in found), default=0.0)
+    y_reach = _y_reach(found)
     x_reach = max((s.x_max for s in found), default=0.0)
     words = []
-    if y_reach > half:
+    if beyond_y(found, geometry):
         words.append(
             f"along the tube travel to {y_reach:.1f} mm from the middle, the detector to {half:.1f} mm "
             f"(pixels_y {detector.ny} x pixel_mm {detector.pixel:g} / 2)"

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import math
+
+from simcore.core.advice import one_of, where
 from simcore.core.errors import GeometryError
 from simcore.core.geometry import AcquisitionGeometry
 
@@ -21,8 +24,8 @@ def check_poses(geometry: AcquisitionGeometry, bottom: float, top: float) -> Non
         if highest > bottom + 1e-9:
             raise GeometryError(
                 f"view {view}: the edge of the detector, turned by {geometry.detector_angles[view]:g} degrees, rises "
-                f"to {highest:.2f} mm, above the bottom of the phantom at {bottom:.2f} mm; raise air_gap_mm "
-                f"({geometry.support_height:g}), lower detector_range_degrees, or lower the detector of the trajectory"
+                f"to {highest:.2f} mm, above the bottom of the phantom at {bottom:.2f} mm; take "
+                + _lower_detector(geometry, view, highest - bottom)
             )
 
 
@@ -42,6 +45,16 @@ def _check_source(geometry: AcquisitionGeometry, view: int, top: float) -> None:
             f"raise source_to_detector_mm ({geometry.source_to_detector:g}) or the source_mm of the trajectory, or "
             "lower angular_range_degrees"
         )
+
+
+def _lower_detector(geometry: AcquisitionGeometry, view: int, by_mm: float) -> str:
+    """What lowers the detector's edge by ``by_mm`` against the phantom."""
+    listed = geometry.detector_poses is not None
+    return one_of(
+        f"air_gap_mm = {math.ceil(10 * (geometry.support_height + by_mm)) / 10:g}",
+        where(listed, "a lower detector in the trajectory"),
+        where(not listed and geometry.detector_angles[view] != 0, "a smaller detector_range_degrees"),
+    )
 
 
 def _highest_corner(geometry: AcquisitionGeometry, view: int) -> float:

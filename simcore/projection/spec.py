@@ -173,6 +173,11 @@ class AcquisitionSpec(Spec):
             )
         return self
 
+    @property
+    def turns(self) -> bool:
+        """Whether views stand at different angles of an arc (not where their poses are listed)."""
+        return self.trajectory is None and self.angular_range_degrees > 0
+
     def parameters(self) -> dict[str, Any]:
         """What results depend on: an option that is not used is left out, so that later ones leave old keys as they
         were."""

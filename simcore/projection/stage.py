@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from simcore.core.advice import one_of, where
 from simcore.core.artifacts import Phantom, ProjectionStack
 from simcore.core.errors import GeometryError
 from simcore.core.geometry import AcquisitionGeometry, Detector
@@ -42,8 +43,12 @@ def project_views(
     beyond = coverage.truncation(shadows, geometry)
     if beyond and acquisition.truncation == "refuse":
         raise GeometryError(
-            f"the breast's shadow reaches beyond the detector: {beyond}; take a larger detector or a smaller "
-            f'angular_range_degrees ({acquisition.angular_range_degrees:g}), or set truncation to "allow"',
+            f"the breast's shadow reaches beyond the detector: {beyond}; take "
+            + one_of(
+                "a larger detector",
+                where(acquisition.turns and coverage.beyond_y(shadows, geometry), "a smaller angular_range_degrees"),
+                'truncation = "allow"',
+            ),
             code="truncated",
         )
     detector = geometry.detector

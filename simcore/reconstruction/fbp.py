@@ -9,6 +9,7 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
+from simcore.core.advice import one_of, where
 from simcore.core.artifacts import ProjectionStack, Volume
 from simcore.core.errors import GeometryError
 from simcore.core.geometry import AcquisitionGeometry
@@ -64,7 +65,8 @@ def check(geometry: AcquisitionGeometry, grid: Grid, in_plane: bool = True) -> N
     if geometry.views < 2 or np.ptp(geometry.angles) <= 0:
         raise GeometryError(
             f"a volume needs views at two angles at least; there are {geometry.views} view(s) over "
-            f"{np.ptp(geometry.angles):g} degrees: raise views or angular_range_degrees"
+            f"{np.ptp(geometry.angles):g} degrees: take "
+            + one_of(where(geometry.views < 2, "more views"), "a larger angular_range_degrees")
         )
     lowest = float(geometry.sources[:, 2].min())
     if grid.upper[2] >= lowest:

@@ -40,7 +40,7 @@ def tet_maps(mesh: TetMesh, deformed: NDArray[np.float64], output: Grid, source:
     if len(inverted):
         raise SolverError(
             f"{len(inverted)} of {len(determinant)} tetrahedra are inverted by the displacement, the first is number "
-            f"{inverted[0]}; take more load_steps or a lower compression percent",
+            f"{inverted[0]}; take less compression or a finer mesh",
             code="inverted-element",
         )
     # Rows of edges are corners n - corner 0; the columns of its inverse are the gradients of weights 1..3.

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import pickle
 from itertools import pairwise
+from typing import get_args
 
 import numpy as np
 import pytest
@@ -14,10 +15,14 @@ from simcore.core.artifacts import Compression, Phantom, TetMesh
 from simcore.core.errors import SolverError
 from simcore.core.grid import Grid
 from simcore.fem import CompressionSpec, compress
+from simcore.fem.compression import target_of
 from simcore.fem.contact import Plates
+from simcore.fem.materials.linear_elastic import LinearElastic
+from simcore.fem.materials.neo_hookean import NeoHookean
+from simcore.fem.materials.published import Published
 from simcore.fem.materials.veronda_westmann import VerondaWestmann
 from simcore.fem.materials.wellman import Wellman
-from simcore.fem.outcome import ADVICE, CompressionFailed
+from simcore.fem.outcome import FAULTS, REMEDIES, CompressionFailed, message
 from simcore.fem.plate_edge import PlateEdge
 from simcore.fem.summary import shape_summary
 from simcore.mesh.structured import box, half_ellipsoid
@@ -119,9 +124,58 @@ def test_a_failure_survives_its_way_between_processes() -> None:
     assert json.dumps(other.to_dict())
 
 
-def test_every_code_says_what_to_change() -> None:
-    for advice in ADVICE.values():
-        assert "; " in advice
+FACTS = {"iterations": 40, "stretch": 0.5, "limit": 30.0, "pressure": 40.0, "force": 10.0, "target": 20.0}
+SPECS = [
+    CompressionSpec(chest_wall=wall, percent=percent, material=material, load_steps=100, plate_edge_mm=200.0, **target)
+    for wall in get_args(CompressionSpec.model_fields["chest_wall"].annotation)
+    for percent in (50.0, 75.0)
+    for material in (
+        NeoHookean(poissons_ratio=0.3),
+        LinearElastic(),
+        Wellman(youngs_modulus_kPa=5.0, exponent=10.0),
+        Published(source="victre"),
+    )
+    for target in ({}, {"thickness_mm": 40.0}, {"force_N": 100.0})
+]
+
+
+@pytest.mark.parametrize("code", FAULTS)
+def test_every_code_says_what_to_change_and_nothing_that_is_so_already(code: str) -> None:
+    assert set(FAULTS) == set(REMEDIES)
+    for spec in SPECS:
+        text = message(code, spec, **FACTS)
+        assert "; take " in text
+        advice = text.split("; take ")[1]
+        assert f"chest_wall = {spec.chest_wall!r}" not in advice
+        assert spec.chest_wall == "free_in_plane" or "'fixed'" not in advice
+        assert "load_steps" not in advice  # they are halved by themselves
+        assert "plate_edge_mm" not in advice
+        assert not (spec.percent == 75.0 and "larger percent" in advice)
+        assert not (spec.thickness_mm and "smaller percent" in advice)
+        assert not (spec.force_N and "smaller percent" in advice)
+        assert not (isinstance(spec.material, NeoHookean) and ("law" in advice or "poissons_ratio" in advice))
+
+
+def test_a_wall_that_is_fixed_is_not_advised_to_be() -> None:
+    sheet = box((40.0, 4.0, 60.0), (8, 2, 12))
+    with pytest.raises(CompressionFailed, match="buckle; take a smaller percent or chest_wall = 'fixed'"):
+        compress(sheet, ANY_PHANTOM, CompressionSpec(percent=20.0))
+    with pytest.raises(CompressionFailed, match="buckle") as error:
+        compress(sheet, ANY_PHANTOM, CompressionSpec(percent=20.0, chest_wall="fixed"))
+    assert "chest_wall" not in str(error.value)
+
+
+@pytest.mark.parametrize(
+    ("thickness", "percent", "advice"),
+    [
+        (10.0, 50.0, "thickness_mm = 30.0 or more$"),
+        (20.0, 50.0, "30.0 or more or percent = 67"),
+        (70.0, 50.0, "below 60"),
+    ],
+)
+def test_a_thickness_out_of_reach_is_told_what_is_within(thickness: float, percent: float, advice: str) -> None:
+    with pytest.raises(SolverError, match=advice):
+        target_of(CompressionSpec(thickness_mm=thickness, percent=percent), 60.0)
 
 
 def test_two_targets_are_refused() -> None:
@@ -187,7 +241,7 @@ def test_a_free_wall_has_no_edge(mesh: TetMesh, halved: Compression) -> None:
 def test_tissue_crushed_against_a_fixed_wall_is_refused() -> None:
     material = VerondaWestmann(youngs_modulus_kPa=20.0, exponent=2.0)
     spec = CompressionSpec(percent=65.0, material=material, chest_wall="fixed", plate_edge_mm=10.0)
-    with pytest.raises(CompressionFailed, match="free chest_wall") as error:
+    with pytest.raises(CompressionFailed, match="chest_wall = 'free_in_plane'") as error:
         compress(half_ellipsoid(C_CUP, 8), ANY_PHANTOM, spec)
     assert error.value.code == "locked-tissue"
     assert 30 < error.value.percent < 60

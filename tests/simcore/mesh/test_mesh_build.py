@@ -11,11 +11,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from pydantic import ValidationError
 
+from simcore.core.advice import one_of
 from simcore.core.artifacts import Phantom, TetMesh
 from simcore.core.errors import Cancelled, MeshError, MeshMemoryError
 from simcore.core.grid import Grid
-from simcore.mesh import TetwildMesh, build, tetwild
+from simcore.mesh import LatticeMesh, TetwildMesh, build, tetwild
 from simcore.mesh.quality import boundary_faces, radius_ratios, volumes
 from simcore.mesh.structured import box
 from simcore.mesh.surface import enclosed_volume
@@ -100,7 +102,9 @@ def test_nothing_is_left_in_the_current_folder(tmp_path: Path, monkeypatch: pyte
 
 
 def test_failure_carries_the_last_lines_of_the_child() -> None:
-    with pytest.raises(MeshError, match=r"the mesher failed with exit status 1.*lines.*Error") as error:
+    with pytest.raises(
+        MeshError, match=r"fTetWild failed with exit status 1; take mesh.kind = 'lattice'.*lines.*Error"
+    ) as error:
         tetwild.tetrahedralize(np.zeros((3, 3)), np.zeros((0, 3), np.int32), edge_length=-1.0, epsilon=np.str_("x"))  # type: ignore[arg-type]
     assert error.value.code == "mesh-failed"
 
@@ -130,10 +134,31 @@ def test_what_is_for_want_of_memory(code: int | None, log: str, out_of_memory: b
 
 def test_timeout() -> None:
     cube = box((10.0, 10.0, 10.0), (1, 1, 1))
-    with pytest.raises(MeshError, match=r"did not finish within 0\.01 s"):
+    with pytest.raises(MeshError, match=r"time_limit_s = 0\.01 s; .*mesh.kind = 'lattice'.*time_limit_s\.$") as error:
         tetwild.tetrahedralize(
-            cube.nodes, boundary_faces(cube.tets).astype(np.int32), edge_length=0.2, epsilon=1e-3, timeout_s=0.01
+            cube.nodes, boundary_faces(cube.tets).astype(np.int32), edge_length=0.2, epsilon=1e-3, time_limit_s=0.01
         )
+    assert error.value.code == "mesh-time-limit"
+
+
+def test_the_time_limit_is_that_of_the_specification_and_no_part_of_the_mesh() -> None:
+    labels = np.zeros((80, 80, 60), np.uint8)
+    labels[10:70, 10:70, :50] = 1  # a cube takes fTetWild minutes
+    phantom = Phantom(labels, Grid(labels.shape, (1.0, 1.0, 1.0), (0.0, -40.0, -40.0)))
+    spec = TetwildMesh(time_limit_s=1.0)
+    with pytest.raises(MeshError, match=r"mesh\.time_limit_s = 1 s"):
+        build(phantom, spec)
+    assert spec.parameters() == TetwildMesh().parameters()
+    assert "time_limit_s" not in spec.parameters()
+    with pytest.raises(ValidationError, match="time_limit_s"):
+        TetwildMesh(time_limit_s=0.0)
+
+
+def test_a_mesh_that_is_as_fine_as_can_be_is_not_advised_to_be_finer() -> None:
+    assert one_of(*TetwildMesh(edge_length_mm=2.0, epsilon=1e-5).finer()) == "mesh.kind = 'lattice'"
+    assert one_of(*TetwildMesh(edge_length_mm=2.0).finer()) == "an epsilon below 0.001 or mesh.kind = 'lattice'"
+    assert "epsilon" not in one_of(*LatticeMesh().finer())
+    assert "edge_length_mm" not in one_of(*LatticeMesh(edge_length_mm=2.0).finer())
 
 
 def _children(pid: int) -> list[int]:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import re
+
 import numpy as np
 import pytest
 
@@ -127,8 +129,11 @@ def test_truncation_is_refused_or_reported(block):
         project(block, narrow, PhysicsSpec())
     assert caught.value.code == "truncated"
     short = SMALL.with_(detector=DetectorSpec(pixels_y=100, pixels_x=30, pixel_mm=1.5))
-    with pytest.raises(GeometryError, match="towards the nipple"):
+    with pytest.raises(GeometryError, match="towards the nipple") as along_x:
         project(block, short, PhysicsSpec())
+    # A smaller angle helps along the tube travel alone.
+    assert "a smaller angular_range_degrees" in str(caught.value)
+    assert "angular_range_degrees" not in str(along_x.value)
     stack = project(block, narrow.with_(truncation="allow"), PhysicsSpec())
     assert stack.report["truncated"]
     # What is seen of the breast is the same as on the larger detector.
@@ -152,8 +157,11 @@ def test_source_inside_the_phantom_is_refused():
 
 
 def test_detector_that_would_rise_into_the_breast_is_refused(block):
-    with pytest.raises(GeometryError, match="air_gap_mm"):
-        project(block, SMALL.with_(detector_range_degrees=30.0, air_gap_mm=10.0), PhysicsSpec())
+    tilted = SMALL.with_(detector_range_degrees=30.0, air_gap_mm=10.0)
+    with pytest.raises(GeometryError, match=r"take air_gap_mm = (\d+\.\d) or a smaller detector_range") as caught:
+        project(block, tilted, PhysicsSpec())
+    advised = float(re.findall(r"air_gap_mm = ([\d.]+)", str(caught.value))[0])
+    project(block, tilted.with_(air_gap_mm=advised), PhysicsSpec())
 
 
 def test_open_field_must_fit(block):
