@@ -5,8 +5,9 @@
 Cups, outlines, 20 to 70 %, nu 0 to 0.499, every material of the specification, skin, gravity, friction, a fixed wall,
 tilted and spring paddles, plates that bend; meshes of about 2k to 10k tetrahedra: structured, lattice and fTetWild
 from labels. What converged is looked at afresh, without the solver: plates in balance and not absurd, nothing behind
-a plate, no element turned over, volume change within what the material allows, and for every fourth run the same
-answer in load steps of a quarter. Exit code 1 where one is silently wrong or 1 % fail. Last line: one JSON object.
+a plate, a chest wall that neither drifts nor rolls, no element turned over, volume change within what the material
+allows, and for every fourth run the same answer in load steps of a quarter. Exit code 1 where one is silently wrong or
+1 % fail. Last line: one JSON object.
 """
 
 from __future__ import annotations
@@ -50,6 +51,8 @@ RECHECKED = 4
 VOXEL_MM = 1.5
 MAX_IMBALANCE = 2e-3
 MAX_PENETRATION_MM = 1e-5
+MAX_DRIFT_MM = 0.02
+"""Of any node of a chest wall that may neither drift nor roll."""
 MAX_PRESSURE_KPA = 2000.0
 """Of the plates. The stiffest laws drawn give some hundreds at 70 %; more is an element crushed beyond its law."""
 MAX_STEPPING = 3e-3
@@ -202,6 +205,8 @@ def faults(mesh: TetMesh, spec: CompressionSpec, result: Compression) -> list[st
         depth = max(float(skin[:, 2].max()) - high, low - float(skin[:, 2].min()))
         if depth > MAX_PENETRATION_MM:
             found.append(f"a node is {depth:.2e} mm behind a plate")
+    if (drift := wall_drift(mesh, result)) > MAX_DRIFT_MM:
+        found.append(f"the chest wall drifts and rolls by {drift:.3g} mm")
     before, now = six_volumes(mesh.nodes, mesh.tets), six_volumes(after, mesh.tets)
     if not (now / before).min() > 0:
         found.append(f"an element has det F {(now / before).min():.3g}")
@@ -210,6 +215,13 @@ def faults(mesh: TetMesh, spec: CompressionSpec, result: Compression) -> list[st
     if not -most < change < 1e-2:
         found.append(f"volume changed by {change:.4f}, at most {most:.4f} expected")
     return found
+
+
+def wall_drift(mesh: TetMesh, result: Compression) -> float:
+    """Largest movement along y of the chest wall as a rigid body that shifts and turns about x, mm."""
+    y, z = result.displacement[mesh.wall, 1], mesh.nodes[mesh.wall, 2]
+    slope, shift = np.polyfit(z - z.mean(), y, 1)
+    return float(np.abs(shift + slope * (z - z.mean())).max())
 
 
 def largest_loss(spec: CompressionSpec, result: Compression) -> float:

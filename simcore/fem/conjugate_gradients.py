@@ -101,13 +101,24 @@ def _couple(operator: Operator, work: _Work) -> None:
         _gathered(operator, part, work.products, work.product)
 
 
+class Ended(NamedTuple):
+    """x: float32 (n, 4), mm. definite: whether A was positive along every direction; it ends where A is not.
+    converged: whether the tolerance was met, and not the limit of iterations."""
+
+    x: Singles
+    iterations: int
+    definite: bool
+    converged: bool
+
+
 def solve(
     operator: Operator, preconditioner: Singles, rhs: Singles, guarded: Guarded, tolerance: float, max_iterations: int
-) -> tuple[Singles, int, bool]:
-    """(x (n, 4), iterations, whether A was positive along every direction); it ends where A is not.
+) -> Ended:
+    """A x = rhs in the space that the guard leaves.
 
-    x: mm. preconditioner: float32 (n, 4, 4), mm/N, the last row and column 0. rhs: float32 (n, 4), N, or any multiple
-    of it. tolerance: on the root of r . M r, relative to its first value.
+    preconditioner: float32 (n, 4, 4), mm/N, the last row and column 0. rhs: float32 (n, 4), N, or any multiple of it,
+    without a part along the guard: one that is much larger than the rest cannot be taken out in single precision, and
+    what is left of it stays in r . M r for ever. tolerance: on the root of r . M r, relative to its first value.
     """
     work = _Work.of(len(rhs), guards=guarded.vectors.shape[1])
     x, r, direction = empty(*rhs.shape), empty(*rhs.shape), empty(*rhs.shape)
@@ -125,7 +136,8 @@ def solve(
         return int(iterations), bool(definite)
 
     iterations, definite = together(work_of, PARTS)
-    return direction if iterations == 1 and not definite else x, iterations, definite
+    converged = definite and bool(work.sums[_RZ + iterations % 2].sum() <= limit)
+    return Ended(direction if iterations == 1 and not definite else x, iterations, definite, converged)
 
 
 class _Work(NamedTuple):

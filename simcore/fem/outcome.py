@@ -25,6 +25,8 @@ Remedy = Callable[[CompressionSpec], str | None]
 FAULTS = {
     "inverted-element": "an element would turn inside out, however short the load step",
     "not-converged": "Newton's method did not converge within {iterations} iterations, however short the load step",
+    "linear-system": "conjugate gradients did not solve a linear system within {limit} iterations, however short the "
+    "load step",
     "unstable-equilibrium": "the tangent stiffness is not positive, the breast would buckle",
     "unstable-material": "the material law loses its stability (St. Venant-Kirchhoff at a principal stretch of 0.577 "
     "at the latest; the least is {stretch:.3f})",
@@ -46,6 +48,10 @@ def _less(spec: CompressionSpec) -> str:
 
 def _finer_mesh(spec: CompressionSpec) -> str:
     return "a finer mesh (mesh.edge_length_mm)"
+
+
+def _coarser_mesh(spec: CompressionSpec) -> str:
+    return "a coarser mesh or one of better shaped elements (mesh.edge_length_mm, mesh.kind = 'lattice')"
 
 
 def _poissons_ratio(spec: CompressionSpec) -> str | None:
@@ -78,6 +84,7 @@ def _more_percent(spec: CompressionSpec) -> str | None:
 REMEDIES: dict[str, tuple[Remedy, ...]] = {
     "inverted-element": (_less, _finer_mesh, _poissons_ratio, _wider_edge),
     "not-converged": (_less, _finer_mesh, _poissons_ratio, _wider_edge),
+    "linear-system": (_less, _coarser_mesh, _poissons_ratio),
     "unstable-equilibrium": (_less, _other_law(SOFTENING, "a law that does not soften"), _fixed_wall),
     "unstable-material": (_less, lambda spec: "strain = 'hencky'"),
     "paddle-turned": (lambda spec: "a stiffer spring_paddle", _less),

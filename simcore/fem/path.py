@@ -10,6 +10,7 @@ import numpy as np
 from simcore.core.progress import Progress, silent
 from simcore.fem import solver as newton
 from simcore.fem.contact import Contact
+from simcore.fem.linear import MAX_ITERATIONS
 from simcore.fem.materials.linear_elastic import ST_VENANT_KIRCHHOFF_STRETCH
 from simcore.fem.outcome import CompressionFailed, message
 from simcore.fem.press import Press, RigidPress
@@ -163,7 +164,7 @@ class _Path:
             return size / 2
         if self.solver.model.laws.st_venant_kirchhoff:
             raise self._failed("unstable-material", stretch=self._least_stretch(self.state))
-        raise self._failed(self.failure, iterations=newton.MAX_NEWTON)
+        raise self._failed(self.failure, iterations=newton.MAX_NEWTON, limit=MAX_ITERATIONS)
 
     def _refuse_instability(self, state: State) -> None:
         if self.solver.model.laws.st_venant_kirchhoff:

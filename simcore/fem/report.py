@@ -17,6 +17,8 @@ from simcore.fem.solver import GAP_MM, Solver
 from simcore.fem.summary import shape_summary, strain_summary
 
 _BALANCE = 1e-3
+_DRIFT_MM = 1e-6
+"""Movement along y of a chest wall that may neither drift nor roll: rounding."""
 
 
 def verify(solver: Solver, solution: Solution, plates: Plates) -> None:
@@ -32,6 +34,7 @@ def verify(solver: Solver, solution: Solution, plates: Plates) -> None:
     low, high = state.contact.forces(carried[:, 2])
     weight = 0.0 if model.load is None else float(model.load[:, 2].sum())
     held = float(carried[solver.fixed[:, 2], 2].sum())
+    balance = max(_BALANCE, np.sqrt(len(points)) * solver.tolerance)
     values = [
         ("relative residual", solver.relative_residual(force, constraints, state.contact), solver.tolerance),
         ("penetration of a plate [mm]", state.contact.penetration(points, plates), 2 * GAP_MM),
@@ -39,7 +42,13 @@ def verify(solver: Solver, solution: Solution, plates: Plates) -> None:
         (
             "imbalance of the plates, relative",
             abs(low - high + held + weight) / max(high, low, 1e-12),
-            max(_BALANCE, np.sqrt(len(points)) * solver.tolerance),
+            balance,
+        ),
+        ("drift or roll of the chest wall [mm]", solver.guard.drift(state.displacement), _DRIFT_MM),
+        (
+            "force along y that keeps the chest wall from drifting where no load has one, relative",
+            abs(_drift_force(solver, force - carried, force)) / max(high, low, 1e-12),
+            balance,
         ),
     ]
     smallest = float(volume_ratios(state.displacement, model.tets, model.gradients).min())
@@ -99,6 +108,7 @@ def report(mesh: TetMesh, solver: Solver, solution: Solution, plates: Plates) ->
         "wall_force_N": float(-wall.sum()),
         "guard_force_N": drift,
         "guard_moment_Nmm": roll,
+        "wall_drift_mm": solver.guard.drift(state.displacement),
         "relative_residual": last.residual,
         "load_steps": len(solution.steps),
         "newton_iterations": solution.counters.newton,
@@ -147,6 +157,15 @@ def _contact_area(nodes: Floats, faces: NDArray[np.int64], touching: NDArray[np.
     a, b, c = (nodes[faces[:, k]] for k in range(3))
     area = 0.5 * np.abs(np.cross(b - a, c - a)[:, 2])
     return float((area * touching[faces].sum(axis=1)).sum() / 3)
+
+
+def _drift_force(solver: Solver, friction: Floats, force: Floats) -> float:
+    """Force along y of the guard of the chest wall less that of friction and weight, N: a breast is in balance without
+    it. force: (n, 3), internal, of friction and of weight."""
+    if not len(solver.guard.nodes):
+        return 0.0
+    weight = 0.0 if solver.model.load is None else float(solver.model.load[:, 1].sum())
+    return float(force[solver.guard.nodes, 1].sum()) - float(friction[:, 1].sum()) + weight
 
 
 def _guarded(mesh: TetMesh, force: Floats) -> tuple[float, float]:

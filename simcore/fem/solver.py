@@ -164,8 +164,7 @@ class Solver:
                 if contact.relative_pull(force, plates) > MAX_PULL:
                     contact = contact.new_load_step()
                     continue
-                if not self._stable(self._tangent(system, compliance), constraints):
-                    raise StepFailed("unstable-equilibrium")
+                self._refuse_instability(self._tangent(system, compliance), constraints)
                 if wavered and self._lost_the_path(state, u, plates):
                     raise StepFailed("unstable-equilibrium")
                 carried = force if self.friction is None else model.internal_force(u, p)
@@ -186,13 +185,20 @@ class Solver:
     def _tangent(self, system: System, compliance: Floats) -> Tangent:
         return Tangent.of(self.model.pattern, system, 1 / (self.model.node_volume * compliance))
 
-    def _stable(self, tangent: Tangent, constraints: Constraints) -> bool:
-        """Whether the tangent is positive along the directions that answer a smooth load without symmetry: a breast
-        that would sway or roll is one whose symmetric equilibrium looks well to every symmetric load."""
+    def _refuse_instability(self, tangent: Tangent, constraints: Constraints) -> None:
+        """The tangent must be positive along the directions that answer a smooth load without symmetry: a breast that
+        would sway or roll is one whose symmetric equilibrium looks well to every symmetric load.
+
+        raises: StepFailed
+        """
         nodes = self.model.nodes
         x, y, z = ((nodes - nodes.mean(axis=0)) / np.ptp(nodes, axis=0)).T
         load = self.model.node_volume[:, None] * np.stack([1 + y - z + x * y, 1 + x + z * z - y, x - y + y * z], axis=1)
-        return tangent.solve(load, constraints, self.guard, _STABILITY_TOLERANCE).definite
+        solved = tangent.solve(load, constraints, self.guard, _STABILITY_TOLERANCE)
+        if not solved.definite:
+            raise StepFailed("unstable-equilibrium")
+        if not solved.converged:
+            raise StepFailed("linear-system")
 
     def _lost_the_path(self, before: State, u: Floats, plates: Plates) -> bool:
         """Whether a step on whose way the tangent was not positive may have ended on another branch of equilibria."""
@@ -249,13 +255,18 @@ class Solver:
         cg_tolerance: float,
     ) -> tuple[Floats, Floats, bool]:
         """Newton's (du, dp), and whether the tangent was positive: contact nodes go onto their plates, the pressure is
-        condensed node by node."""
+        condensed node by node.
+
+        raises: StepFailed where the linear system is not solved within the limit of iterations
+        """
         prescribed = np.zeros_like(force)
         prescribed[:, 2] = gap
         pressure_part = tangent.compliance * volume_residual
         rhs = -force - tangent.apply(prescribed)[0] - tangent.apply_coupling(pressure_part)
         solved = tangent.solve(rhs, constraints, self.guard, cg_tolerance)
         self.counters.cg += solved.iterations
+        if solved.definite and not solved.converged:
+            raise StepFailed("linear-system")
         du = solved.x + prescribed
         return du, tangent.apply(du)[1] + pressure_part, solved.definite
 

@@ -165,7 +165,7 @@ def test_linear_solver_agrees_with_a_dense_one() -> None:
     guard = Guard.against_roll(mesh.nodes, mesh.wall)
     rhs = generator.normal(0, 1, (n, 3))
     constraints_on = Constraints(free, np.zeros(n, dtype=bool), np.array([0.0, 0.0, 1.0]))
-    solved, iterations, definite = tangent.solve(rhs, constraints_on, guard, 1e-7)
+    solved, iterations, definite, converged = tangent.solve(rhs, constraints_on, guard, 1e-7)
     constraints = np.zeros((2, n, 3))
     constraints[:, guard.nodes, 1] = guard.vectors.T
     keep = free.ravel()
@@ -178,5 +178,6 @@ def test_linear_solver_agrees_with_a_dense_one() -> None:
     exact = np.linalg.solve(saddle, np.concatenate([rhs.ravel()[keep], [0.0, 0.0]]))[:-2]
     assert iterations > 5
     assert definite
+    assert converged
     assert solved.ravel()[keep] == pytest.approx(exact, rel=1e-3, abs=1e-4 * np.abs(exact).max())
     assert (solved.ravel()[~keep] == 0).all()
