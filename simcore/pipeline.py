@@ -39,7 +39,7 @@ STAGES = ("phantom", "mesh", "fem", "warp", "projection", "reconstruction", "dic
 VERSIONS = {
     **dict.fromkeys(STAGES, 1),
     "phantom": 2,
-    "fem": 2,
+    "fem": 3,
     "warp": 2,
     "projection": 3,
     "reconstruction": 2,

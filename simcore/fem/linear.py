@@ -132,7 +132,7 @@ def _norm(values: Floats) -> float:
 class Guard:
     """Constraints vectors^T v_y[nodes] = 0: no drift along y and no roll about x of the chest wall.
 
-    nodes: int64 (w,), ascending. vectors: (w, k), orthonormal.
+    nodes: int64 (w,), ascending, none held along y. vectors: (w, k), orthonormal.
     """
 
     nodes: NDArray[np.int64]
@@ -150,6 +150,15 @@ class Guard:
     def none(cls) -> Guard:
         """No constraint: for a wall that is held by its nodes."""
         return cls(np.empty(0, np.int64), np.empty((0, 0)))
+
+    def among(self, free: NDArray[np.bool_]) -> Guard:
+        """The same constraints where only the nodes ``free`` (n,) can move along y: vectors at supports would mix what
+        the supports forbid with what the guard does."""
+        moves = free[self.nodes]
+        if moves.all():
+            return self
+        left, sizes, _ = np.linalg.svd(self.vectors[moves], full_matrices=False)
+        return Guard(self.nodes[moves], np.ascontiguousarray(left[:, sizes > 1e-9 * sizes.max(initial=0.0)]))
 
     def project(self, v: Floats) -> None:
         """Takes the guarded components out of v (n, 3), in place."""

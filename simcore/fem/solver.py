@@ -125,6 +125,9 @@ class Solver:
     friction: Friction | None = None
     counters: Counters = field(default_factory=Counters)
 
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "guard", self.guard.among(~self.fixed[:, 1]))
+
     def load_step(
         self, state: State, plates: Plates, report: Callable[[int, float], None] = lambda iteration, residual: None
     ) -> tuple[State, LoadStep]:
