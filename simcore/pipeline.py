@@ -43,7 +43,7 @@ VERSIONS = {
     "warp": 2,
     "projection": 3,
     "reconstruction": 2,
-    "dicom": 4,
+    "dicom": 5,
     "preview": 2,
 }
 

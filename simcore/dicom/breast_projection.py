@@ -56,6 +56,9 @@ def breast_projection_image(study: Study) -> Instance:
     dataset.PhotometricInterpretation = "MONOCHROME1"
     dataset.PresentationLUTShape = "INVERSE"
     set_detector(dataset, study)
+    # Also here: readers that ignore functional groups find no other size of a pixel.
+    edge = decimal(study.stack.geometry.detector.pixel)
+    dataset.ImagerPixelSpacing = [edge, edge]
     set_compression(dataset, study)
     set_exposure(dataset, study)
     dataset.update(item(**study.exposure.load(1.0)))
@@ -117,7 +120,6 @@ def _frame_groups(study: Study, view: int) -> Dataset:
     order = np.argsort(study.stack.geometry.angles, kind="stable").tolist()
     return functional_groups(
         FrameContent=item(
-            FrameAcquisitionNumber=view + 1,
             DimensionIndexValues=[order.index(view) + 1],
             FrameLabel=f"view {view + 1}, tube angle {angle:+.3f} degrees",
             FrameAcquisitionDateTime=date_time(study.spec),

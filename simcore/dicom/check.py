@@ -27,8 +27,11 @@ from simcore.core.errors import ExportError
 # The DX rule (null) applied to mammography, where PS3.3 C.8.11.7.1.4 permits the value.
 _TOMO_PROJ = r"</ImageType\(0008,0008\)\[3\]> - Unrecognized enumerated value = <TOMO_PROJ>"
 
+# The IHE profile asks for the value of a suppressed background. Raw projections have none: every value is a signal.
+_NO_PADDING = r"</PixelPaddingValue\(0028,0120\)> - Missing attribute for Type 1 Required - Module=<IHEMammoProfile>"
+
 ALLOWED_ERRORS: dict[str, tuple[str, ...]] = {
-    "MammographyImageForProcessing": (_TOMO_PROJ,),
+    "MammographyImageForProcessing": (_TOMO_PROJ, _NO_PADDING),
     "MammographyImageForPresentation": (_TOMO_PROJ,),
 }
 """Errors of dciodvfy that are none, by the name of the object."""
@@ -55,6 +58,8 @@ ALLOWED_WARNINGS = (
     # Terms of the standard that the tool does not list for this object.
     r"FrameType\(0008,9007\)\[3\]> - Unrecognized defined term = <TOMO_PROJ>",
     r"ViewPosition\(0018,5101\)\[1\]> - Unrecognized defined term = <(CC|MLO)>",
+    # The size of a pixel added to the breast projection object, for readers that ignore functional groups.
+    r"</ImagerPixelSpacing\(0018,1164\)> - Attribute is not present in standard DICOM IOD",
     # The complete geometry added to the mammography object.
     r"</(DistanceSourceToIsocenter\(0018,9402\)|IsocenterReferenceSystemSequence\(0018,9462\).*)> - "
     r"Attribute is not present in standard DICOM IOD",

@@ -16,7 +16,7 @@ from typing import Any
 
 from simcore.dicom.exposure import Exposure
 
-FORMAT = 2
+FORMAT = 3
 """Revision of what is written: raised whenever attributes change, so that old and new files differ in identity."""
 
 _NAMESPACE = uuid.uuid5(uuid.NAMESPACE_DNS, "tomosim")

@@ -56,7 +56,6 @@ def describe_view(dataset: Dataset, study: Study, view: int) -> None:
     dataset.RescaleIntercept = "0"
     dataset.RescaleSlope = "1"
     dataset.RescaleType = "US"
-    dataset.PixelPaddingValue = 0
     _describe_position(dataset, study, view)
     set_detector(dataset, study)
     _describe_field(dataset, study)

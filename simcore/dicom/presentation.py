@@ -34,6 +34,8 @@ def presentation_image(study: Study, view: int) -> Instance:
     dataset.PixelIntensityRelationship = "LOG"
     dataset.PixelIntensityRelationshipSign = -1
     set_display(dataset)
+    # Here alone: in raw projections 0 is a signal, that of the densest tissue.
+    dataset.PixelPaddingValue = 0
     dataset.update(item(**window(*display_window(image)), VOILUTFunction="LINEAR"))
     dataset.WindowCenterWidthExplanation = "breast"
     # The first pixel is that of another corner of the detector.

@@ -39,6 +39,22 @@ _SEGMENTS: dict[Tissue, tuple[str, _Code, _Code]] = {
 }
 """Label, property category and property type of every tissue."""
 
+_COLOURS: dict[Tissue, tuple[float, float, float]] = {
+    Tissue.ADIPOSE: (85.0, 2.0, 50.0),
+    Tissue.GLAND: (72.0, 28.0, 18.0),
+    Tissue.SKIN: (78.0, 14.0, 24.0),
+    Tissue.LIGAMENT: (92.0, -2.0, 12.0),
+    Tissue.MASS: (55.0, 70.0, 45.0),
+    Tissue.CALCIFICATION: (95.0, -6.0, 36.0),
+    Tissue.MUSCLE: (40.0, 48.0, 28.0),
+    Tissue.NIPPLE: (55.0, 28.0, 20.0),
+    Tissue.DUCT: (62.0, 45.0, -35.0),
+    Tissue.TDLU: (70.0, -45.0, 25.0),
+    Tissue.ARTERY: (48.0, 72.0, 58.0),
+    Tissue.VEIN: (45.0, 8.0, -50.0),
+}
+"""Colour to show every tissue in: CIELab, L 0 to 100, a and b -128 to 127; all of them lie within sRGB."""
+
 _ALGORITHM = "tomosim ground truth"
 
 
@@ -102,7 +118,14 @@ def segment(study: Study, number: int, tissue: Tissue, label: str) -> Dataset:
         described.AnatomicRegionSequence = breast_code()
         described.TrackingID = f"{study.case.short}/{label}"
         described.TrackingUID = study.ids.uid("tracking", label)
+        described.RecommendedDisplayCIELabValue = _encoded_colour(_COLOURS[tissue])
     return described
+
+
+def _encoded_colour(colour: tuple[float, float, float]) -> list[int]:
+    """CIELab as DICOM writes it (PS3.3 C.10.7.1.1): the range of each value on 0 to 65535."""
+    lightness, a, b = colour
+    return [round(65535 * lightness / 100), round(65535 * (a + 128) / 255), round(65535 * (b + 128) / 255)]
 
 
 def property_type(tissue: Tissue) -> tuple[str, str, str]:

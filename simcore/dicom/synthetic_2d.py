@@ -56,7 +56,8 @@ def synthetic_2d_image(study: Study) -> Instance:
         PlaneOrientation=item(ImageOrientationPatient=study.frames.hung_image_orientation(laterality)),
         FrameAnatomy=frame_anatomy(study),
         PixelValueTransformation=item(RescaleIntercept="0", RescaleSlope="1", RescaleType="US"),
-        FrameVOILUT=item(**window(*display_window(image)), VOILUTFunction="LINEAR"),
+        # As of the volume: the default of VOI LUT Function, not the attribute.
+        FrameVOILUT=item(**window(*display_window(image))),
         DerivationImage=item(
             DerivationDescription="mean of the slices and of their detail the brightest, along z",
             DerivationCodeSequence=items(code("GENERATED2D", "99TOMOSIM", "Generated 2D view")),

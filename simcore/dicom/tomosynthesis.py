@@ -208,7 +208,8 @@ def _shared_groups(study: Study, volume: Volume) -> Dataset:
         **plane_groups(study, volume.grid),
         FrameAnatomy=frame_anatomy(study),
         PixelValueTransformation=item(RescaleIntercept="0", RescaleSlope="1", RescaleType="US"),
-        FrameVOILUT=item(**window(*study.volume_window), VOILUTFunction="LINEAR"),
+        # Without VOI LUT Function, whose default is LINEAR: cornerstone 5 reads the first letter of it and throws.
+        FrameVOILUT=item(**window(*study.volume_window)),
         DerivationImage=derivation,
         RealWorldValueMapping=values,
     )
