@@ -120,7 +120,7 @@ def _add_case(settings: Settings, folder: Path) -> None:
     volume = Volume(np.stack([np.roll(noise, k) for k in range(SLICES)]), grid, 1e-5, 0.0)
     phantom = Phantom(labels, Grid((60, 100, 50), (2.0, 2.0, 1.0), (0.0, -100.0, 0.0)))
     compression = Compression(np.zeros((4, 3)), (0.0, 60.0), 100.0, "converged")
-    names = dicom.export(folder, dicom.ExportSpec(), case, stack, volume, phantom, compression)
+    names = dicom.export(folder, dicom.ExportSpec(), case, stack, volume, phantom, compression).names
     store = Store(settings.store_folder)
     engine = connect(settings.resolved_database_url)
     prepare(engine)

@@ -176,7 +176,7 @@ def _export(
     )
 
     def write(folder: Path, key: str, hashing: Hashing, progress: Progress) -> Report:
-        names = dicom.export(
+        exported = dicom.export(
             folder,
             export,
             description,
@@ -187,7 +187,7 @@ def _export(
             progress,
             open_file=hashing.open,
         )
-        return {"files": len(names)}
+        return {"files": len(exported.names), **exported.report()}
 
     case.file_stage(
         "dicom",
@@ -356,6 +356,7 @@ def _results(reports: dict[str, Report]) -> Report:
         "fem": ("force_N", "thickness_mm", "uncompressed_thickness_mm", "min_det_F", "volume_change"),
         "warp": ("tissue_before_ml", "tissue_after_ml"),
         "projection": ("truncated",),
+        "dicom": ("left_out", "notes"),
     }
     return {
         name: reports[stage][name]

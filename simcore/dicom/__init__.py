@@ -8,10 +8,11 @@ from typing import BinaryIO
 
 from simcore.core.artifacts import Compression, Phantom, ProjectionStack, Volume
 from simcore.core.progress import Progress, silent
+from simcore.dicom.exported import ExportedStudy
 from simcore.dicom.identity import CaseDescription
 from simcore.dicom.spec import ExportSpec
 
-__all__ = ["CaseDescription", "ExportSpec", "export"]
+__all__ = ["CaseDescription", "ExportSpec", "ExportedStudy", "export"]
 
 
 def _open(path: Path) -> BinaryIO:
@@ -28,15 +29,15 @@ def export(
     compression: Compression,
     progress: Progress = silent,
     open_file: Callable[[Path], BinaryIO] = _open,
-) -> list[str]:
-    """Write a case below ``folder`` (made where missing) and return the relative names of the files.
+) -> ExportedStudy:
+    """Write a case below ``folder`` (made where missing).
 
     projections/0001.dcm ...  Digital Mammography X-Ray Image - For Processing, one a view
     projections.dcm           Breast Projection X-Ray Image - For Processing, one frame a view
     tomosynthesis.dcm         Breast Tomosynthesis Image, one frame a slice; real world values in 1/mm
     labels.dcm                Label Map Segmentation, RLE: ``compressed`` (support frame) at the voxels of the volume
     lesions.dcm               Segmentation, one segment a lesion; left out where the volume holds none
-    truth.csv                 the lesions as boxes; see simcore.dicom.truth_table
+    truth.csv, file_paths.csv the lesions as boxes, and the volume they belong to; see simcore.dicom.truth_table
     and what spec.extra_objects asks for; see simcore.dicom.extras
 
     open_file: opens a file of an object for writing.

@@ -15,6 +15,7 @@ from simcore.core.progress import Progress, part
 from simcore.dicom.breast_projection import breast_projection_image
 from simcore.dicom.common import Instance, write
 from simcore.dicom.content import array_digest
+from simcore.dicom.exported import ExportedStudy
 from simcore.dicom.extras import EXTRAS
 from simcore.dicom.identity import CaseDescription, Identifiers, content_root
 from simcore.dicom.lesion_segmentation import lesion_segmentation
@@ -26,9 +27,10 @@ from simcore.dicom.segmentation import label_map
 from simcore.dicom.spec import ExportSpec
 from simcore.dicom.study import Study, breast_window
 from simcore.dicom.tomosynthesis import tomosynthesis_image
-from simcore.dicom.truth_table import truth_table
+from simcore.dicom.truth_table import path_table, reader_notes, truth_table
 
 TRUTH_TABLE = "truth.csv"
+PATH_TABLE = "file_paths.csv"
 _LARGEST = "tomosynthesis.dcm"
 _SAMPLES = 100
 """Voxels along each axis that the display window is taken from, at least (where there are so many)."""
@@ -44,7 +46,7 @@ def write_study(
     compression: Compression,
     progress: Progress,
     open_file: Callable[[Path], BinaryIO],
-) -> list[str]:
+) -> ExportedStudy:
     """As ``simcore.dicom.export``."""
     _check(case, stack, volume)
     lookup = nearest(compressed.grid.moved(z=stack.geometry.support_height), volume.grid)
@@ -79,7 +81,8 @@ def write_study(
         projection_window=_projection_window(stack),
         volume_window=volume_window,
     )
-    return _write_all(folder, study, part(progress, 0.1, 1.0), open_file)
+    names = _write_all(folder, study, part(progress, 0.1, 1.0), open_file)
+    return ExportedStudy(names, _left_out(study, names), tuple(_notes(study)))
 
 
 def _check(case: CaseDescription, stack: ProjectionStack, volume: Volume) -> None:
@@ -138,9 +141,24 @@ def _write_all(folder: Path, study: Study, progress: Progress, open_file: Callab
         path.parent.mkdir(parents=True, exist_ok=True)
         with open_file(path) as file:
             write(file, make(), study.case, study.spec.encoding)
-    (folder / TRUTH_TABLE).write_text(truth_table(study), encoding="utf-8", newline="")
+    tables = {TRUTH_TABLE: truth_table(study), PATH_TABLE: path_table(study, _LARGEST)}
+    for name, text in tables.items():
+        (folder / name).write_text(text, encoding="utf-8", newline="")
     progress(1.0, "written")
-    return [*(name for name, _ in planned), TRUTH_TABLE]
+    return [*(name for name, _ in planned), *tables]
+
+
+def _left_out(study: Study, names: list[str]) -> dict[str, str]:
+    """Files that a reader of the specification may miss, with the reason."""
+    expected = ["lesions.dcm", *(["report.dcm"] if "report" in study.spec.extra_objects else [])]
+    return {name: "the volume holds no lesion" for name in expected if name not in names}
+
+
+def _notes(study: Study) -> Iterator[str]:
+    for lesion in study.lesions:
+        if not len(lesion.voxels):
+            yield f"{lesion.name} lies beyond the volume: it has no box in {TRUTH_TABLE} and no segment"
+    yield from reader_notes(study)
 
 
 def _planned(study: Study) -> Iterator[tuple[str, Callable[[], Instance]]]:

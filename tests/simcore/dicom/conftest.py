@@ -29,6 +29,9 @@ class SmallCase:
     compression: Compression
 
     def export(self, folder: Path) -> list[str]:
+        return self.exported(folder).names
+
+    def exported(self, folder: Path) -> dicom.ExportedStudy:
         return dicom.export(folder, self.spec, self.case, self.stack, self.volume, self.phantom, self.compression)
 
 

@@ -57,7 +57,8 @@ def folder(exported: Callable[[SmallCase], Path], small_case: SmallCase) -> Path
 def test_names_are_those_on_disk(tmp_path: Path, small_case: SmallCase) -> None:
     names = small_case.export(tmp_path / "new" / "folder")
     assert names[:5] == [f"projections/{n:04d}.dcm" for n in range(1, 6)]
-    assert names[5:] == ["projections.dcm", "tomosynthesis.dcm", "labels.dcm", "lesions.dcm", "truth.csv"]
+    assert names[5:9] == ["projections.dcm", "tomosynthesis.dcm", "labels.dcm", "lesions.dcm"]
+    assert names[9:] == ["truth.csv", "file_paths.csv"]
     on_disk = {str(f.relative_to(tmp_path / "new/folder")) for f in (tmp_path / "new").rglob("*") if f.is_file()}
     assert on_disk == set(names)
 

@@ -110,7 +110,7 @@ def test_truth_table(case_and_folder: tuple[SmallCase, Path]) -> None:
         assert (row["PatientID"], row["StudyUID"]) == (d.PatientID, d.StudyInstanceUID)
         assert row["View"] == WINDOWS[case.spec.laterality + case.spec.view]
         assert int(row["Slice"]) == (k.min() + k.max()) // 2
-        assert (int(row["X"]), int(row["Y"])) == (i.min(), j.min())
+        assert (int(row["StoredX"]), int(row["StoredY"])) == (i.min(), j.min())
         assert (int(row["Width"]), int(row["Height"])) == (np.ptp(i) + 1, np.ptp(j) + 1)
         assert int(row["VolumeSlices"]) == d.NumberOfFrames == 9
 
