@@ -113,3 +113,16 @@ def test_what_is_not_there_is_told(tmp_path: Path) -> None:
     assert [note for note in cut.notes if "beyond the volume" in note] == [
         "calcifications-1 lies beyond the volume: it has no box in truth.csv and no segment"
     ]
+
+
+@pytest.mark.parametrize(("encoding", "takes"), [("none", False), ("jpeg-ls", True), ("rle", True)])
+def test_encodings_that_the_reader_takes(tmp_path: Path, encoding: str, takes: bool) -> None:
+    """It decompresses what it reads, and pydicom refuses that where nothing is compressed."""
+    make_case(views=1, encoding=encoding).export(tmp_path)
+    d = pydicom.dcmread(tmp_path / "tomosynthesis.dcm")
+    if takes:
+        d.decompress()
+        assert d.pixel_array.shape == (9, 61, 50)
+    else:
+        with pytest.raises(ValueError, match="already uncompressed"):
+            d.decompress()
