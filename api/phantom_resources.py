@@ -22,6 +22,7 @@ class PhantomResource(BaseModel):
     size: int = Field(description="[byte]")
     format: str
     values: dict[str, int] = Field(description="voxels of every value")
+    remarks: list[str] = Field(description="what was not read as it stands in the file, for people")
     specification: dict[str, Any] = Field(description="to be posted to /v1/simulations, with whatever else is wanted")
     links: dict[str, str]
 
@@ -44,6 +45,7 @@ def phantom_resource(upload: registry.Upload) -> PhantomResource:
         size=upload.size,
         format=upload.format,
         values=upload.values,
+        remarks=list(upload.remarks),
         specification={"phantom": upload.phantom},
         links={"self": phantom_path(upload.sha256), "simulations": f"{PREFIX}/simulations"},
     )

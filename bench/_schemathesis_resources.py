@@ -58,7 +58,7 @@ def make(http: httpx.Client, dicom_cases: list[str]) -> Values:
         found["webhooks"].append(hook)
         found["messages"].append(_post(http, f"/v1/webhooks/{hook}/test", None)["id"])
     _wait_until_all_have_succeeded(http, found["simulations"])
-    reading = {"raw": {"shape": [20, 20, 20], "spacing_mm": [1.0, 1.0, 1.0]}, "tissues": "tomosim"}
+    reading = {"raw": {"shape": [20, 20, 20], "spacing_mm": [2.0, 2.0, 2.0]}, "tissues": "tomosim"}
     uploaded = http.post(
         "/v1/phantoms",
         params={"reading": json.dumps(reading)},

@@ -9,6 +9,7 @@ from __future__ import annotations
 import argparse
 import json
 import os
+import re
 import sys
 from collections.abc import Sequence
 from pathlib import Path
@@ -26,7 +27,7 @@ DEFAULT_DATA = Path("data")
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Runs one command; returns its exit code."""
-    args = _parser().parse_args(arguments)
+    args = _parser().parse_args(_with_axes(sys.argv[1:] if arguments is None else arguments))
     try:
         return int(args.run(args) or 0)
     except SimulationError as error:
@@ -111,6 +112,7 @@ def _phantom_parser(commands: Any) -> None:
     p.add_argument("--axes", type=_axes, metavar="A,B,C", help="where the array axes lead, slowest first: +z,+y,+x")
     p.add_argument("--spacing-mm", type=_edges, metavar="A,B,C", help="voxel edges along the array axes, slowest first")
     p.add_argument("--compressed", action="store_true", help="it is already compressed along z")
+    p.add_argument("--confirm-size", action="store_true", help="take a breast below 20 ml or above 5 l")
     _data_argument(p)
     p.set_defaults(run=_add_phantom)
     p = of_phantom.add_parser("list", help="list the label volumes in the store")
@@ -147,6 +149,17 @@ def _port(text: str) -> int:
     if number > 65535:
         raise argparse.ArgumentTypeError(f"{text!r} is not a port: 1 to 65535")
     return number
+
+
+def _with_axes(arguments: Sequence[str]) -> list[str]:
+    """``--axes -z,+y,+x`` as one argument: argparse takes what begins with a minus for an option."""
+    result: list[str] = []
+    for argument in arguments:
+        if result[-1:] == ["--axes"] and re.match("-[xyz]", argument):
+            result[-1] += f"={argument}"
+        else:
+            result.append(argument)
+    return result
 
 
 def _axes(text: str) -> list[str]:
@@ -284,7 +297,7 @@ def _add_phantom(args: argparse.Namespace) -> None:
     from simcore.phantom.upload import registry
     from simcore.phantom.upload.reading import Reading
 
-    asked: dict[str, Any] = {"compressed": args.compressed}
+    asked: dict[str, Any] = {"compressed": args.compressed, "confirm_size": args.confirm_size}
     if args.tissue_map is not None:
         named = args.tissue_map in BUILT_IN
         asked["tissues"] = args.tissue_map if named else _read_json(Path(args.tissue_map), "tissue map")
@@ -292,6 +305,8 @@ def _add_phantom(args: argparse.Namespace) -> None:
         asked["raw"] = _read_json(args.header, "header")
     asked |= {name: value for name in ("axes", "spacing_mm") if (value := getattr(args, name)) is not None}
     upload = registry.add_file(Store(args.data / "store"), args.file, Reading.parse(json.dumps(asked)))
+    for remark in upload.remarks:
+        print(f"tomosim: {remark}", file=sys.stderr)
     print(f"tomosim: {upload.sha256}, {upload.size} bytes in the store", file=sys.stderr)
     print(json.dumps({"phantom": upload.phantom}, indent=2))
 

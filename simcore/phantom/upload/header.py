@@ -2,21 +2,26 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Literal
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import Any, Literal, TypeVar
 
 import numpy as np
-from numpy.typing import NDArray
 
 from simcore.core.errors import SpecError
-from simcore.phantom.upload.spec import OWN_AXES, Axes
+from simcore.phantom.upload.spec import MAX_EDGE_MM, MIN_EDGE_MM, Axes
 
 Encoding = Literal["raw", "gzip", "zlib", "bzip2"]
+Edges = tuple[float, float, float]
 
 MAX_EDGE_VOXELS = 20_000
 MAX_VOXELS = 2**34
 """Voxels of a volume that is read; more is taken for a broken header."""
-MAX_HEADER_BYTES = 65536
+HEAD_BYTES = 65536
+"""First bytes of a file, which hold most headers."""
+MAX_HEADER_BYTES = 2**24
+
+_T = TypeVar("_T")
 
 
 @dataclass(frozen=True)
@@ -26,21 +31,32 @@ class Header:
     format:     "nrrd", "metaimage" or "nifti".
     shape:      voxels along the axes of the array, slowest first.
     spacing_mm: voxel edges along the same axes; None where the file does not say.
-    axes:       where each axis leads, as in UploadedPhantom.
-    dtype:      integer type with its byte order.
+    axes:       where each axis of the array leads, as in UploadedPhantom; None where that is not to be had.
+    dtype:      type of a stored value with its byte order.
     encoding:   of the voxels.
     offset:     bytes before the voxels, in the file or, where ``whole_gzip``, in what the file unpacks to.
     whole_gzip: whether the whole file is gzip-compressed.
+    lines:      lines between ``offset`` and the voxels, packed or not.
+    skip:       further bytes before the voxels, once unpacked; -1: the voxels are the last bytes of the file.
+    slope, intercept: a label is slope * stored value + intercept.
+    problems:   why ``spacing_mm`` or ``axes`` is None, by that name, where the file says something of no use.
+    remarks:    what to tell of a file that is read all the same.
     """
 
     format: str
     shape: tuple[int, int, int]
-    spacing_mm: tuple[float, float, float] | None
-    axes: Axes
-    dtype: np.dtype[np.integer]
+    spacing_mm: Edges | None
+    axes: Axes | None
+    dtype: np.dtype[Any]
     encoding: Encoding
     offset: int
     whole_gzip: bool = False
+    lines: int = 0
+    skip: int = 0
+    slope: float = 1.0
+    intercept: float = 0.0
+    problems: dict[str, SpecError] = field(default_factory=dict)
+    remarks: tuple[str, ...] = ()
 
     @property
     def voxel_bytes(self) -> int:
@@ -48,64 +64,80 @@ class Header:
         a, b, c = self.shape
         return a * b * c * self.dtype.itemsize
 
+    def placed(self, spacing_mm: Edges | None = None, axes: Axes | None = None) -> tuple[Edges, Axes]:
+        """Voxel edges and axes: those that are given, else those of the file. raises: SpecError where there are none"""
+        spacing_mm, axes = spacing_mm or self.spacing_mm, axes or self.axes
+        if spacing_mm is None:
+            raise self.problems.get("spacing_mm") or refuse(
+                "its header has no voxel size: give spacing_mm (--spacing-mm A,B,C: mm, slowest axis first)"
+            )
+        if axes is None:
+            raise self.problems["axes"]
+        return spacing_mm, axes
+
+
+_NOT_READ = "the label volume cannot be read: "
+
 
 def refuse(message: str, code: str = "invalid-upload") -> SpecError:
     """The error of a file that cannot be read."""
-    return SpecError(f"the label volume cannot be read: {message}", code=code)
+    return SpecError(_NOT_READ + message, code=code)
 
 
-def checked_shape(sizes: list[int]) -> tuple[int, int, int]:
-    """Sizes of an array, fastest axis first, as a shape; a fourth axis of one entry is dropped.
+def reason(error: SpecError) -> str:
+    """What ``refuse`` was given."""
+    return str(error).removeprefix(_NOT_READ)
 
+
+def attempt(problems: dict[str, SpecError], name: str, read: Callable[[], _T]) -> _T | None:
+    """What ``read`` gives; None where it raises a SpecError, which is kept: another value may be given instead."""
+    try:
+        return read()
+    except SpecError as error:
+        problems[name] = error
+        return None
+
+
+def checked_shape(sizes: list[int], spacing_mm: Edges | None = None) -> tuple[int, int, int]:
+    """Sizes of three axes, fastest first, as a shape.
+
+    spacing_mm: along the axes of the array, slowest first, to say which would do.
     raises: SpecError where they are no volume, or one beyond all measure.
     """
-    while len(sizes) > 3 and sizes[-1] == 1:
-        sizes = sizes[:-1]
     if len(sizes) != 3:
         raise refuse(f"it has {len(sizes)} axes ({' x '.join(map(str, sizes))}); a volume has 3")
-    if any(n < 1 or n > MAX_EDGE_VOXELS for n in sizes) or np.prod(sizes, dtype=object) > MAX_VOXELS:
-        raise refuse(
-            f"{' x '.join(map(str, sizes))} voxels; from 1 to {MAX_EDGE_VOXELS} along an axis, {MAX_VOXELS} in all"
-        )
+    named = f"{' x '.join(map(str, sizes))} voxels; from 1 to {MAX_EDGE_VOXELS} along an axis, {MAX_VOXELS} in all"
+    if any(n < 1 for n in sizes):
+        raise refuse(named)
+    factor = max(max(sizes) / MAX_EDGE_VOXELS, (float(np.prod(sizes, dtype=object)) / MAX_VOXELS) ** (1 / 3))
+    if factor > 1:
+        raise refuse(f"{named}: cut it to the breast, or resample it to voxels of {_coarser(spacing_mm, factor)}")
     return sizes[2], sizes[1], sizes[0]
 
 
-def checked_spacing(edges: list[float]) -> tuple[float, float, float]:
-    """Voxel edges, fastest axis first, as those along the axes of the array."""
-    a, b, c = (abs(e) for e in edges[:3])
-    if not all(np.isfinite(e) and e > 0 for e in (a, b, c)):
-        raise refuse(f"voxel edges of {a:g} x {b:g} x {c:g} mm; all must be above 0")
-    return c, b, a
+def _coarser(spacing_mm: Edges | None, factor: float) -> str:
+    """Voxel edges that are larger by a factor, rounded up, in words."""
+    if spacing_mm is None:
+        return f"{np.ceil(factor * 100) / 100:g} times the edge"
+    edges = [np.ceil(edge * factor * 1000) / 1000 for edge in reversed(spacing_mm)]
+    return " x ".join(f"{edge:g}" for edge in edges) + " mm"
 
 
-def axes_of(directions: NDArray[np.float64], frame: str) -> Axes:
-    """The array axes from their directions in a frame of the patient.
-
-    directions: (3, 3), one row an axis, fastest first. frame: what its coordinates grow towards, of "LPS", "RAS",
-        "LAS": +x of tomosim is anterior, +y left, +z superior, as a breast in the cranio-caudal view.
-    returns: the axes, slowest first. raises: SpecError for an oblique volume.
-    """
-    ours = {"A": "+x", "P": "-x", "L": "+y", "R": "-y", "S": "+z", "I": "-z"}
-    found = []
-    for row in directions:
-        length = float(np.linalg.norm(row))
-        along = int(np.argmax(np.abs(row)))
-        if not np.isfinite(length) or length == 0 or abs(row[along]) < 0.999 * length:
-            raise refuse("its axes are not parallel to those of the patient: resample it, or remove its orientation")
-        axis = ours[frame[along]]
-        found.append(axis if row[along] > 0 else {"+": "-", "-": "+"}[axis[0]] + axis[1])
-    if len({axis[1] for axis in found}) != 3:
-        raise refuse("two of its axes have the same direction")
-    x, y, z = found
-    return (z, y, x)  # type: ignore[return-value]
-
-
-def axes_or_own(directions: NDArray[np.float64], frame: str) -> Axes:
-    """As ``axes_of``; but a unit matrix is what programs write that know no orientation: then the axes are ours."""
-    lengths = np.linalg.norm(directions, axis=1, keepdims=True)
-    if np.all(lengths > 0) and np.allclose(directions / lengths, np.eye(3), atol=1e-6):
-        return OWN_AXES
-    return axes_of(directions, frame)
+def checked_spacing(edges: list[float], name: str) -> Edges:
+    """Voxel edges in mm, fastest axis first, as those along the axes of the array. raises: SpecError"""
+    a, b, c = edges
+    shown = f"{name}: voxel edges of {a:g} x {b:g} x {c:g} mm"
+    remedy = "give spacing_mm (--spacing-mm A,B,C: mm, slowest axis first)"
+    if not all(np.isfinite(e) and e > 0 for e in edges):
+        raise refuse(
+            f"{shown}; all must be above 0: {remedy}, and where an axis runs the other way axes (such as -z,+y,+x)"
+        )
+    if not all(MIN_EDGE_MM <= e <= MAX_EDGE_MM for e in edges):
+        scales = {"m": 1000.0, "cm": 10.0, "um": 1e-3}
+        units = [u for u, s in scales.items() if all(MIN_EDGE_MM <= e * s <= MAX_EDGE_MM for e in edges)]
+        guess = f" (are they in {' or '.join(units)}?)" if units else ""
+        raise refuse(f"{shown}; from {MIN_EDGE_MM:g} to {MAX_EDGE_MM:g} mm{guess}: {remedy}, or resample the volume")
+    return round(c, 9), round(b, 9), round(a, 9)
 
 
 def number(text: str, name: str) -> float:
@@ -113,7 +145,7 @@ def number(text: str, name: str) -> float:
     try:
         value = float(text)
     except ValueError:
-        raise refuse(f"{name} = {text[:40]!r} is no number") from None
+        raise refuse(f"{name} = {text[:40]!r} is no number (such as 0.2, with a point)") from None
     if not np.isfinite(value):
         raise refuse(f"{name} = {text[:40]!r} is no finite number")
     return value

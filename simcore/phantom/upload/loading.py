@@ -14,9 +14,10 @@ from simcore.core.grid import Grid
 from simcore.core.progress import Progress, silent
 from simcore.core.tissues import MAX_TISSUES, Tissue
 from simcore.phantom.upload import tissue_maps
-from simcore.phantom.upload.decoding import planes, read_header
-from simcore.phantom.upload.header import Header
+from simcore.phantom.upload.decoding import blocks, read_header
+from simcore.phantom.upload.header import Edges, Header
 from simcore.phantom.upload.spec import Axes, UploadedPhantom
+from simcore.phantom.upload.values import labels_of
 
 LEAST_WALL = 0.2
 """Least area of the tissue at the chest wall relative to that of the largest plane across x."""
@@ -25,7 +26,7 @@ MARGIN = 1
 DENSE = (Tissue.GLAND, Tissue.DUCT, Tissue.TDLU)
 
 Box = tuple[tuple[int, int], tuple[int, int], tuple[int, int]]
-"""(first, behind the last) voxel along z, y and x."""
+"""(first, behind the last) voxel along the axes of an array."""
 
 
 @dataclass(frozen=True)
@@ -33,22 +34,37 @@ class Survey:
     """What a file holds, found without keeping its voxels.
 
     values: voxels of every value.
-    extent: planes from the first to the last that are not all air, along the axes of the array; 0 where all is air.
+    areas:  voxels that are not air in every plane across each axis of the array; three arrays, slowest axis first.
     """
 
     header: Header
     values: dict[int, int]
-    extent: tuple[int, int, int]
+    areas: tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]
 
-    def extent_mm(self, spacing_mm: tuple[float, float, float], axes: Axes) -> tuple[float, float, float] | None:
-        """Size of what is not air along (x, y, z), mm; None where there is nothing."""
-        if not all(self.extent):
+    @property
+    def box(self) -> Box | None:
+        """(first, behind the last) plane that is not all air, along each axis of the array; None where all is air."""
+        filled = [np.flatnonzero(area) for area in self.areas]
+        if not len(filled[0]):
             return None
-        along = {axis[1]: round(n * edge, 6) for axis, n, edge in zip(axes, self.extent, spacing_mm, strict=True)}
+        a, b, c = ((int(f[0]), int(f[-1]) + 1) for f in filled)
+        return a, b, c
+
+    @property
+    def body_voxels(self) -> int:
+        """Voxels that are not air."""
+        return int(self.areas[0].sum())
+
+    def extent_mm(self, spacing_mm: Edges, axes: Axes) -> tuple[float, float, float] | None:
+        """Size of what is not air along (x, y, z), mm; None where there is nothing."""
+        if self.box is None:
+            return None
+        planes = (last - first for first, last in self.box)
+        along = {axis[1]: round(n * edge, 6) for axis, n, edge in zip(axes, planes, spacing_mm, strict=True)}
         return along["x"], along["y"], along["z"]
 
 
-def survey(file: IO[bytes], tissues: tissue_maps.TissueMap) -> Survey:
+def survey(file: IO[bytes], tissues: tissue_maps.TissueMap, progress: Progress = silent) -> Survey:
     """Reads a whole file and counts its values.
 
     raises: SpecError where it cannot be read, or holds a value without a tissue.
@@ -56,52 +72,64 @@ def survey(file: IO[bytes], tissues: tissue_maps.TissueMap) -> Survey:
     header = read_header(file)
     table = tissue_maps.table(tissues)
     counts = np.zeros(tissue_maps.LARGEST_VALUE + 1, np.int64)
-    filled = [np.zeros(n, np.bool_) for n in header.shape]
-    for first, voxels in planes(file, header):
-        values = _in_range(voxels)
-        counts += np.bincount(values.ravel(), minlength=len(counts))
-        body = table[values] != Tissue.AIR
-        filled[0][first : first + len(body)] = body.any(axis=(1, 2))
-        filled[1] |= body.any(axis=(0, 2))
-        filled[2] |= body.any(axis=(0, 1))
+    areas = tuple(np.zeros(n, np.int64) for n in header.shape)
+    for plane, row, voxels in blocks(file, header):
+        n, rows, _ = voxels.shape
+        labels = labels_of(voxels, header)
+        if not labels.any() and table[0] == Tissue.AIR:  # most of a large volume
+            counts[0] += labels.size
+        else:
+            part = np.bincount(labels.ravel())
+            counts[: len(part)] += part
+            body = table[labels] != Tissue.AIR
+            areas[0][plane : plane + n] += np.count_nonzero(body, axis=(1, 2))
+            areas[1][row : row + rows] += np.count_nonzero(body, axis=(0, 2))
+            areas[2][:] += np.count_nonzero(body, axis=(0, 1))
+        progress((plane + n) / header.shape[0], "looking for the tissue")
     present = np.flatnonzero(counts)
     unknown = present[table[present] == tissue_maps.UNKNOWN]
     if len(unknown):
         tissue_maps.refuse_unknown(int(v) for v in unknown)
-    a, b, c = (int(np.ptp(np.flatnonzero(f)) + 1) if f.any() else 0 for f in filled)
-    return Survey(header, {int(v): int(counts[v]) for v in present}, (a, b, c))
+    return Survey(header, {int(v): int(counts[v]) for v in present}, areas)  # type: ignore[arg-type]
 
 
 def load(spec: UploadedPhantom, file: IO[bytes], progress: Progress = silent) -> Phantom:
     """The phantom in a file: in the breast frame, z = 0 in the middle; a compressed one in the support frame.
+
+    It is read twice, block by block: only what is cut out of it is ever held.
 
     raises: SpecError where the file is not what ``spec`` says, holds unknown values or no breast.
     """
     header = read_header(file)
     if header.shape != spec.shape:
         raise _wrong("shape", list(spec.shape), f"the file has {list(header.shape)} voxels")
-    native = np.empty(header.shape, np.uint8)
-    table = tissue_maps.table(spec.tissues)
-    for first, voxels in planes(file, header):
-        part = native[first : first + len(voxels)]
-        values = _in_range(voxels)
-        np.take(table, values, out=part)
-        if part.max(initial=0) >= MAX_TISSUES:
-            tissue_maps.refuse_unknown(int(v) for v in np.unique(values[part == tissue_maps.UNKNOWN]))
-        progress(0.7 * (first + len(voxels)) / header.shape[0], "reading voxels")
-    labels, spacing = _oriented(native, spec)
-    box = _tissue_box(labels)
-    if box is None:
+    found = survey(file, spec.tissues, lambda fraction, message: progress(0.45 * fraction, message))
+    if found.box is None:
         raise _wrong("tissues", None, "the label volume holds nothing but air")
-    _check_wall(labels, box, spec)
-    progress(0.8, "cutting to the tissue")
-    if spec.compressed:
-        cut, grid = _compressed(labels, box, spacing, spec.thickness_mm)
-    else:
-        cut, grid = _uncompressed(labels, box, spacing)
-    report = _report(cut, grid, spec)
+    _check_wall(found, spec)
+    labels, grid = _compressed(found.box, spec) if spec.compressed else _uncompressed(found.box, spec)
+    margin = 0 if spec.compressed else MARGIN
+    inner = labels[margin : len(labels) - margin, margin : labels.shape[1] - margin, : labels.shape[2] - margin]
+    _fill(_native(inner, spec.axes), file, found, spec, progress)
+    report = _report(labels, grid, spec)
     progress(1.0, "phantom ready")
-    return Phantom(cut, grid, (), report)
+    return Phantom(labels, grid, (), report)
+
+
+def _fill(target: NDArray[np.uint8], file: IO[bytes], found: Survey, spec: UploadedPhantom, progress: Progress) -> None:
+    """Writes the tissues of the voxels in ``found.box`` to ``target``, whose axes are those of the array."""
+    header, table = found.header, tissue_maps.table(spec.tissues)
+    (a0, a1), (b0, b1), (c0, c1) = found.box  # type: ignore[misc]
+    for plane, row, voxels in blocks(file, header):
+        n, rows, _ = voxels.shape
+        planes = slice(max(plane, a0), min(plane + n, a1))
+        lines = slice(max(row, b0), min(row + rows, b1))
+        if planes.start < planes.stop and lines.start < lines.stop:
+            part = voxels[planes.start - plane : planes.stop - plane, lines.start - row : lines.stop - row, c0:c1]
+            target[planes.start - a0 : planes.stop - a0, lines.start - b0 : lines.stop - b0] = table[
+                labels_of(part, header)
+            ]
+        progress(0.45 + 0.5 * (plane + n) / header.shape[0], "reading voxels")
 
 
 def plates(spec: UploadedPhantom, phantom: Phantom) -> Compression:
@@ -114,41 +142,22 @@ def plates(spec: UploadedPhantom, phantom: Phantom) -> Compression:
     return Compression(np.zeros((0, 3)), (0.0, thickness), spec.force_N, "converged", report)
 
 
-def _in_range(voxels: NDArray[np.integer]) -> NDArray[np.integer]:
-    """The voxels, of a type that indexes. raises: SpecError for values that no tissue map can name"""
-    if voxels.dtype.itemsize > 2 or voxels.dtype.kind == "i":
-        low, high = int(voxels.min(initial=0)), int(voxels.max(initial=0))
-        if low < 0 or high > tissue_maps.LARGEST_VALUE:
-            tissue_maps.refuse_unknown({v for v in (low, high) if not 0 <= v <= tissue_maps.LARGEST_VALUE})
-    return voxels.astype(np.uint16, copy=False) if voxels.dtype.itemsize > 1 else voxels.astype(np.uint8, copy=False)
+def _native(labels: NDArray[np.uint8], axes: Axes) -> NDArray[np.uint8]:
+    """A view of an array (z, y, x) along the axes of a file that lead where ``axes`` say."""
+    view = labels.transpose(["zyx".index(axis[1]) for axis in axes])
+    return view[tuple(slice(None, None, 1 if axis[0] == "+" else -1) for axis in axes)]
 
 
-def _oriented(native: NDArray[np.uint8], spec: UploadedPhantom) -> tuple[NDArray[np.uint8], tuple[float, float, float]]:
-    """A view (z, y, x) whose axes lead where ours do, and its voxel edges along (x, y, z)."""
-    order = [next(n for n, axis in enumerate(spec.axes) if axis[1] == name) for name in "zyx"]
-    view = native.transpose(order)
-    view = view[tuple(slice(None, None, 1 if spec.axes[n][0] == "+" else -1) for n in order)]
-    z, y, x = (spec.spacing_mm[n] for n in order)
-    return view, (x, y, z)
+def _along(spec: UploadedPhantom, name: str) -> int:
+    """Which axis of the array leads along "x", "y" or "z"."""
+    return next(n for n, axis in enumerate(spec.axes) if axis[1] == name)
 
 
-def _tissue_box(labels: NDArray[np.uint8]) -> Box | None:
-    """Bounds of what is not air."""
-    bounds = []
-    for axis in range(3):
-        others = tuple(a for a in range(3) if a != axis)
-        found = np.flatnonzero(labels.any(axis=others))
-        if not len(found):
-            return None
-        bounds.append((int(found[0]), int(found[-1]) + 1))
-    z, y, x = bounds
-    return z, y, x
-
-
-def _check_wall(labels: NDArray[np.uint8], box: Box, spec: UploadedPhantom) -> None:
+def _check_wall(found: Survey, spec: UploadedPhantom) -> None:
     """raises: SpecError where x does not lead from a flat chest wall to the nipple"""
-    (z0, z1), (y0, y1), (x0, x1) = box
-    area = np.count_nonzero(labels[z0:z1, y0:y1, x0:x1], axis=(0, 1))
+    n = _along(spec, "x")
+    first, last = found.box[n]  # type: ignore[index]
+    area = found.areas[n][first:last][:: 1 if spec.axes[n][0] == "+" else -1]
     if area[0] < LEAST_WALL * area.max() or area[0] < area[-1]:
         raise _wrong(
             "axes",
@@ -159,27 +168,29 @@ def _check_wall(labels: NDArray[np.uint8], box: Box, spec: UploadedPhantom) -> N
         )
 
 
-def _uncompressed(
-    labels: NDArray[np.uint8], box: Box, spacing: tuple[float, float, float]
-) -> tuple[NDArray[np.uint8], Grid]:
-    """Cut to the tissue with air on all sides but the chest wall; y = 0 and z = 0 in the middle."""
-    (z0, z1), (y0, y1), (x0, x1) = box
-    cut = np.zeros((z1 - z0 + 2 * MARGIN, y1 - y0 + 2 * MARGIN, x1 - x0 + MARGIN), np.uint8)
-    cut[MARGIN:-MARGIN, MARGIN:-MARGIN, :-MARGIN] = labels[z0:z1, y0:y1, x0:x1]
-    nz, ny, _ = cut.shape
-    return cut, Grid(cut.shape, spacing, (0.0, -ny * spacing[1] / 2, -nz * spacing[2] / 2))
+def _cut_size(box: Box, spec: UploadedPhantom) -> tuple[tuple[int, int, int], tuple[float, float, float]]:
+    """Voxels (nz, ny, nx) of a box along the axes of the array, and voxel edges along (x, y, z)."""
+    nz, ny, nx = (box[_along(spec, name)][1] - box[_along(spec, name)][0] for name in "zyx")
+    x, y, z = (spec.spacing_mm[_along(spec, name)] for name in "xyz")
+    return (nz, ny, nx), (x, y, z)
 
 
-def _compressed(
-    labels: NDArray[np.uint8], box: Box, spacing: tuple[float, float, float], thickness: float | None
-) -> tuple[NDArray[np.uint8], Grid]:
-    """Cut to the tissue, which stands on z = 0; y = 0 in the middle. raises: SpecError where it is above the plate"""
-    (z0, z1), (y0, y1), (x0, x1) = box
-    height = (z1 - z0) * spacing[2]
-    if thickness is not None and thickness < height - spacing[2]:
-        raise _wrong("thickness_mm", thickness, f"the tissue is {height:g} mm high; at least that, or none")
-    cut = np.ascontiguousarray(labels[z0:z1, y0:y1, x0:x1])
-    return cut, Grid(cut.shape, spacing, (0.0, -(y1 - y0) * spacing[1] / 2, 0.0))
+def _uncompressed(box: Box, spec: UploadedPhantom) -> tuple[NDArray[np.uint8], Grid]:
+    """Room for the tissue with air on all sides but the chest wall; y = 0 and z = 0 in the middle."""
+    (nz, ny, nx), spacing = _cut_size(box, spec)
+    shape = (nz + 2 * MARGIN, ny + 2 * MARGIN, nx + MARGIN)
+    return np.zeros(shape, np.uint8), Grid(
+        shape, spacing, (0.0, -shape[1] * spacing[1] / 2, -shape[0] * spacing[2] / 2)
+    )
+
+
+def _compressed(box: Box, spec: UploadedPhantom) -> tuple[NDArray[np.uint8], Grid]:
+    """Room for the tissue, which stands on z = 0; y = 0 in the middle. raises: SpecError where it is above the plate"""
+    shape, spacing = _cut_size(box, spec)
+    height = shape[0] * spacing[2]
+    if spec.thickness_mm is not None and spec.thickness_mm < height - spacing[2]:
+        raise _wrong("thickness_mm", spec.thickness_mm, f"the tissue is {height:g} mm high; at least that, or none")
+    return np.zeros(shape, np.uint8), Grid(shape, spacing, (0.0, -shape[1] * spacing[1] / 2, 0.0))
 
 
 def _report(labels: NDArray[np.uint8], grid: Grid, spec: UploadedPhantom) -> Report:

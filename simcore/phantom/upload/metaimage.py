@@ -2,34 +2,57 @@
 
 from __future__ import annotations
 
+import re
+from functools import partial
+
 import numpy as np
 
+from simcore.core.errors import SpecError
 from simcore.phantom.upload.header import (
+    Edges,
     Header,
-    axes_or_own,
+    attempt,
     checked_shape,
     checked_spacing,
     number,
     refuse,
     whole_number,
 )
-from simcore.phantom.upload.spec import OWN_AXES
+from simcore.phantom.upload.layers import volume_axes
+from simcore.phantom.upload.orientation import axes_or_own
+from simcore.phantom.upload.spec import OWN_AXES, Axes
+from simcore.phantom.upload.units import mm_per
 
-_DTYPES = {
-    "MET_CHAR": "i1",
-    "MET_UCHAR": "u1",
-    "MET_SHORT": "i2",
-    "MET_USHORT": "u2",
-    "MET_INT": "i4",
-    "MET_UINT": "u4",
+TYPES = {
+    "i1": ("MET_CHAR",),
+    "u1": ("MET_UCHAR",),
+    "i2": ("MET_SHORT",),
+    "u2": ("MET_USHORT",),
+    "i4": ("MET_INT", "MET_LONG"),
+    "u4": ("MET_UINT", "MET_ULONG"),
+    "i8": ("MET_LONG_LONG",),
+    "u8": ("MET_ULONG_LONG",),
+    "f4": ("MET_FLOAT",),
+    "f8": ("MET_DOUBLE",),
 }
+"""Names of every type, the one that is written first. MetaIO's long has four bytes."""
+_DTYPES = {name: dtype for dtype, names in TYPES.items() for name in names}
 LAST_TAG = "elementdatafile"
+_LAST = re.compile(rb"(?im)^\s*ElementDataFile\s*=.*\n")
+_FIRST = re.compile(
+    rb"(?i)\s*(ObjectType|ObjectSubType|NDims|Comment|Name|ID|DimSize|BinaryData|BinaryDataByteOrderMSB|CompressedData"
+    rb"|ElementType|ElementSpacing|TransformMatrix|Offset|AnatomicalOrientation|DistanceUnits)\s*="
+)
 
 
 def looks_like(head: bytes) -> bool:
     """Whether the first line is a tag that begins a MetaImage."""
-    name = head.partition(b"=")[0].strip().lower()
-    return name in (b"objecttype", b"ndims", b"comment", b"objectsubtype", b"dimsize")
+    return _FIRST.match(head) is not None
+
+
+def is_whole(head: bytes) -> bool:
+    """Whether the first bytes of a file hold all of its header."""
+    return _LAST.search(head) is not None
 
 
 def tags(head: bytes) -> tuple[dict[str, str], int]:
@@ -41,7 +64,7 @@ def tags(head: bytes) -> tuple[dict[str, str], int]:
     offset = 0
     while LAST_TAG not in found:
         end = head.find(b"\n", offset)
-        line = head[offset : end if end >= 0 else len(head)].decode("latin-1").strip()
+        line = _decoded(head[offset : end if end >= 0 else len(head)]).strip()
         name, equals, value = line.partition("=")
         if line and not equals:
             raise refuse(f"MetaImage header line {line[:60]!r}")
@@ -60,41 +83,89 @@ def parse(head: bytes) -> Header:
     found, offset = tags(head)
     if found[LAST_TAG].upper() != "LOCAL":
         raise refuse(
-            f"its voxels are in another file, {found[LAST_TAG][:80]!r}: add the .mhd file where both lie, or save it "
-            "as .mha"
+            f"its voxels are in another file, {found[LAST_TAG][:80]!r}: add the .mhd file with 'tomosim phantom add' "
+            "where both lie, or save it as .mha"
         )
     return header_of(found, offset)
 
 
 def header_of(found: dict[str, str], offset: int) -> Header:
     """The header that tags describe. raises: SpecError"""
-    kind = _tag(found, "ElementType").upper()
-    if kind not in _DTYPES:
-        raise refuse(f"MetaImage ElementType = {kind!r}: labels are whole numbers ({', '.join(_DTYPES)})")
     if found.get("elementnumberofchannels", "1") != "1":
-        raise refuse(f"MetaImage ElementNumberOfChannels = {found['elementnumberofchannels']}: 1")
+        raise refuse(
+            f"MetaImage ElementNumberOfChannels = {found['elementnumberofchannels']}: 1; one label a voxel is needed, "
+            "no colours or layers"
+        )
     if not _true(found, "binarydata", default=True):
         raise refuse("MetaImage BinaryData = False: save it in binary form")
-    if found.get("headersize", "0") not in ("0", "-1"):
-        raise refuse(f"MetaImage HeaderSize = {found['headersize']}: 0")
-    big = _true(found, "binarydatabyteordermsb") or _true(found, "elementbyteordermsb")
-    dtype = np.dtype(_DTYPES[kind]).newbyteorder(">" if big else "<")
+    for name, nothing in (("ElementToIntensityFunctionSlope", 1.0), ("ElementToIntensityFunctionOffset", 0.0)):
+        if number(found.get(name.lower(), str(nothing)), f"MetaImage {name}") != nothing:
+            raise refuse(f"MetaImage {name} = {found[name.lower()]}: remove it where the stored values are the labels")
     sizes = [whole_number(n, "MetaImage DimSize") for n in _tag(found, "DimSize").split()]
     if len(sizes) != whole_number(_tag(found, "NDims"), "MetaImage NDims"):
         raise refuse(f"MetaImage NDims = {found['ndims']} and DimSize = {found['dimsize']!r} differ")
-    spacing = None
+    kept = volume_axes(sizes)
+    problems: dict[str, SpecError] = {}
+    spacing = attempt(problems, "spacing_mm", partial(_spacing, found, kept))
+    axes = attempt(problems, "axes", partial(_axes, found, len(sizes), kept))
+    compressed = _true(found, "compresseddata")
+    at, skip = _header_size(found, offset, compressed)
+    return Header(
+        "metaimage",
+        checked_shape([sizes[k] for k in kept], spacing),
+        spacing,
+        axes[0] if axes else None,
+        _dtype(found),
+        "zlib" if compressed else "raw",
+        at,
+        skip=skip,
+        problems=problems,
+        remarks=axes[1] if axes else (),
+    )
+
+
+def _dtype(found: dict[str, str]) -> np.dtype[np.generic]:
+    kind = _tag(found, "ElementType").upper()
+    if kind not in _DTYPES:
+        raise refuse(f"MetaImage ElementType = {kind!r}: labels are numbers ({', '.join(_DTYPES)})")
+    big = _true(found, "binarydatabyteordermsb") or _true(found, "elementbyteordermsb")
+    return np.dtype(_DTYPES[kind]).newbyteorder(">" if big else "<")
+
+
+def _header_size(found: dict[str, str], offset: int, compressed: bool) -> tuple[int, int]:
+    """(offset, skip) of the voxels: HeaderSize counts from the beginning of their file; -1: they end it."""
+    size = whole_number(found.get("headersize", "0"), "MetaImage HeaderSize")
+    local = found[LAST_TAG].upper() == "LOCAL"
+    if size < -1 or (size == -1 and compressed) or 0 < size < offset:
+        least = f"0, or from {offset} on" if local else "0 or more"
+        raise refuse(f"MetaImage HeaderSize = {size}: {least}; -1 (the end of the file) only where nothing is packed")
+    if size == -1:
+        return offset, -1
+    return (size or offset), 0
+
+
+def _spacing(found: dict[str, str], kept: list[int]) -> Edges | None:
+    """Voxel edges, mm; None where the header has none. raises: SpecError where they are of no use"""
     edges = found.get("elementspacing", found.get("elementsize"))
-    if edges is not None:
-        if len(edges.split()) < 3:
-            raise refuse(f"MetaImage ElementSpacing = {edges!r}: three are needed")
-        spacing = checked_spacing([number(e, "MetaImage ElementSpacing") for e in edges.split()[:3]])
-    axes = OWN_AXES
+    if edges is None:
+        return None
+    if len(edges.split()) <= max(kept):
+        raise refuse(f"MetaImage ElementSpacing = {edges!r}: three are needed; give spacing_mm")
+    length = mm_per(found.get("distanceunits", ""), "MetaImage DistanceUnits")
+    values = [number(e, "MetaImage ElementSpacing") for e in edges.split()]
+    return checked_spacing([values[k] * length for k in kept], "MetaImage ElementSpacing")
+
+
+def _axes(found: dict[str, str], dimensions: int, kept: list[int]) -> tuple[Axes, tuple[str, ...]]:
+    """Where the axes lead, and what to tell of it. raises: SpecError where that is not to be had"""
     matrix = found.get("transformmatrix", found.get("orientation", found.get("rotation")))
-    if matrix is not None and len(matrix.split()) == 9:
-        directions = np.array([number(e, "MetaImage TransformMatrix") for e in matrix.split()]).reshape(3, 3)
-        axes = axes_or_own(directions, "LPS")
-    encoding = "zlib" if _true(found, "compresseddata") else "raw"
-    return Header("metaimage", checked_shape(sizes), spacing, axes, dtype, encoding, offset)  # type: ignore[arg-type]
+    if matrix is None:
+        return OWN_AXES, ()
+    values = [number(e, "MetaImage TransformMatrix") for e in matrix.split()]
+    if len(values) != dimensions**2:
+        raise refuse(f"MetaImage TransformMatrix = {matrix[:80]!r}: {dimensions**2} numbers, or give axes")
+    directions = np.array(values).reshape(dimensions, dimensions)[np.ix_(kept, kept)]
+    return axes_or_own(directions, "LPS")
 
 
 def _tag(found: dict[str, str], name: str) -> str:
@@ -105,3 +176,10 @@ def _tag(found: dict[str, str], name: str) -> str:
 
 def _true(found: dict[str, str], name: str, default: bool = False) -> bool:
     return found[name].lower() in ("true", "1", "t") if name in found else default
+
+
+def _decoded(text: bytes) -> str:
+    try:
+        return text.decode("utf-8")
+    except UnicodeDecodeError:
+        return text.decode("latin-1")

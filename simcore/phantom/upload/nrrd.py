@@ -3,32 +3,46 @@
 from __future__ import annotations
 
 import re
+from functools import partial
+from itertools import repeat
 
 import numpy as np
+from numpy.typing import NDArray
 
+from simcore.core.errors import SpecError
 from simcore.phantom.upload.header import (
+    Edges,
     Encoding,
     Header,
-    axes_or_own,
+    attempt,
     checked_shape,
     checked_spacing,
     number,
     refuse,
     whole_number,
 )
-from simcore.phantom.upload.spec import OWN_AXES
+from simcore.phantom.upload.layers import volume_axes
+from simcore.phantom.upload.orientation import axes_or_own, axes_without_patient
+from simcore.phantom.upload.spec import OWN_AXES, Axes
+from simcore.phantom.upload.units import mm_per
 
 MAGIC = b"NRRD000"
+DATA_FILE = ("data file", "datafile")
 
-_TYPES = {
-    "i1": ("signed char", "int8", "int8_t"),
-    "u1": ("uchar", "unsigned char", "uint8", "uint8_t"),
-    "i2": ("short", "short int", "signed short", "signed short int", "int16", "int16_t"),
-    "u2": ("ushort", "unsigned short", "unsigned short int", "uint16", "uint16_t"),
-    "i4": ("int", "signed int", "int32", "int32_t"),
-    "u4": ("uint", "unsigned int", "uint32", "uint32_t"),
+TYPES = {
+    "i1": ("int8", "signed char", "int8_t"),
+    "u1": ("uint8", "uchar", "unsigned char", "uint8_t"),
+    "i2": ("int16", "short", "short int", "signed short", "signed short int", "int16_t"),
+    "u2": ("uint16", "ushort", "unsigned short", "unsigned short int", "uint16_t"),
+    "i4": ("int32", "int", "signed int", "int32_t"),
+    "u4": ("uint32", "uint", "unsigned int", "uint32_t"),
+    "i8": ("int64", "longlong", "long long", "long long int", "signed long long", "signed long long int", "int64_t"),
+    "u8": ("uint64", "ulonglong", "unsigned long long", "unsigned long long int", "uint64_t"),
+    "f4": ("float",),
+    "f8": ("double",),
 }
-_DTYPES = {name: dtype for dtype, names in _TYPES.items() for name in names}
+"""Names of every type, the one that is written first."""
+_DTYPES = {name: dtype for dtype, names in TYPES.items() for name in names}
 _ENCODINGS: dict[str, Encoding] = {"raw": "raw", "gzip": "gzip", "gz": "gzip", "bzip2": "bzip2", "bz2": "bzip2"}
 _FRAMES = {
     "left-posterior-superior": "LPS",
@@ -38,63 +52,151 @@ _FRAMES = {
     "left-anterior-superior": "LAS",
     "las": "LAS",
 }
+_END = re.compile(rb"\r?\n\r?\n")
+_DETACHED = re.compile(rb"(?im)^data ?file\s*:")
+
+
+def is_whole(head: bytes) -> bool:
+    """Whether the first bytes of a file hold all of its header."""
+    return _END.search(head) is not None
 
 
 def fields(head: bytes) -> tuple[dict[str, str], int]:
     """The fields of a header by their names in small letters, and where the voxels begin.
 
-    raises: SpecError where the header does not end.
+    raises: SpecError where the header does not end; one with its voxels in another file may.
     """
-    end = re.search(rb"\r?\n\r?\n", head)
-    if end is None:
+    end = _END.search(head)
+    if end is None and not _DETACHED.search(head):
         raise refuse("the NRRD header has no end (an empty line)")
-    found = {}
-    for line in head[: end.start()].decode("latin-1").splitlines()[1:]:
+    text = head[: end.start()] if end else head
+    found: dict[str, str] = {}
+    for line in _decoded(text).splitlines()[1:]:
         if line.startswith("#") or ":=" in line:
             continue
         name, colon, value = line.partition(":")
         if not colon:
             raise refuse(f"NRRD header line {line[:60]!r}")
         found[name.strip().lower()] = value.strip()
-    return found, end.end()
+        if name.strip().lower() in DATA_FILE and value.split()[:1] == ["LIST"]:
+            break  # the rest are names of files
+    return found, end.end() if end else len(head)
 
 
 def parse(head: bytes) -> Header:
     """The header in the first bytes of a file. raises: SpecError"""
     found, offset = fields(head)
-    if "data file" in found or "datafile" in found:
-        raise refuse("its voxels are in another file: add the .nhdr file where both lie, or put them into one file")
+    if any(name in found for name in DATA_FILE):
+        raise refuse(
+            "its voxels are in another file: add the .nhdr file with 'tomosim phantom add' where both lie, or put them "
+            "into one .nrrd file"
+        )
+    return header_of(found, offset)
+
+
+def header_of(found: dict[str, str], offset: int) -> Header:
+    """The header that fields describe. raises: SpecError"""
+    encoding = _field(found, "encoding").lower()
+    if encoding not in _ENCODINGS:
+        raise refuse(f"NRRD encoding = {encoding!r}: save it as raw, gzip or bzip2")
+    sizes = [whole_number(n, "NRRD sizes") for n in _field(found, "sizes").split()]
+    if len(sizes) != whole_number(_field(found, "dimension"), "NRRD dimension"):
+        raise refuse(f"NRRD dimension = {found['dimension']} and sizes = {found['sizes']!r} differ")
+    vectors = _vectors(found["space directions"], len(sizes)) if "space directions" in found else None
+    lists = [k for k, vector in enumerate(vectors) if vector is None] if vectors else []
+    kept = volume_axes(sizes, lists)
+    problems: dict[str, SpecError] = {}
+    spacing = attempt(problems, "spacing_mm", partial(_spacing, found, vectors, kept))
+    axes = attempt(problems, "axes", partial(_axes, found, vectors, kept))
+    return Header(
+        "nrrd",
+        checked_shape([sizes[k] for k in kept], spacing),
+        spacing,
+        axes[0] if axes else None,
+        _dtype(found),
+        _ENCODINGS[encoding],
+        offset,
+        lines=_skip(found, "line skip", least=0),
+        skip=_skip(found, "byte skip", least=-1 if encoding == "raw" else 0),
+        problems=problems,
+        remarks=axes[1] if axes else (),
+    )
+
+
+def _dtype(found: dict[str, str]) -> np.dtype[np.generic]:
     kind = _field(found, "type").lower()
     if kind not in _DTYPES:
-        raise refuse(f"NRRD type = {kind!r}: labels are whole numbers ({', '.join(sorted(_DTYPES))})")
+        raise refuse(f"NRRD type = {kind!r}: labels are numbers ({', '.join(names[0] for names in TYPES.values())})")
     dtype = np.dtype(_DTYPES[kind])
     if dtype.itemsize > 1:
         endian = _field(found, "endian").lower()
         if endian not in ("little", "big"):
             raise refuse(f"NRRD endian = {endian!r}: little or big")
         dtype = dtype.newbyteorder("<" if endian == "little" else ">")
-    encoding = _field(found, "encoding").lower()
-    if encoding not in _ENCODINGS:
-        raise refuse(f"NRRD encoding = {encoding!r}: raw, gzip or bzip2")
-    for name in ("line skip", "lineskip", "byte skip", "byteskip"):
-        if found.get(name, "0") != "0":
-            raise refuse(f"NRRD {name} = {found[name]!r}: nothing may stand between header and voxels")
-    sizes = [whole_number(n, "NRRD sizes") for n in _field(found, "sizes").split()]
-    if len(sizes) != whole_number(_field(found, "dimension"), "NRRD dimension"):
-        raise refuse(f"NRRD dimension = {found['dimension']} and sizes = {found['sizes']!r} differ")
-    spacing, axes = None, OWN_AXES
-    if "space directions" in found:
-        vectors = _vectors(found["space directions"])
-        spacing = checked_spacing([float(np.linalg.norm(v)) for v in vectors])
-        frame = _FRAMES.get(found.get("space", "").lower())
-        axes = axes_or_own(vectors, frame) if frame else OWN_AXES
-    elif "spacings" in found:
-        edges = found["spacings"].split()
-        if len(edges) < 3:
-            raise refuse(f"NRRD spacings = {found['spacings']!r}: three are needed")
-        if "nan" not in found["spacings"].lower():
-            spacing = checked_spacing([number(e, "NRRD spacings") for e in edges[:3]])
-    return Header("nrrd", checked_shape(sizes), spacing, axes, dtype, _ENCODINGS[encoding], offset)
+    return dtype
+
+
+def _skip(found: dict[str, str], name: str, least: int) -> int:
+    value = whole_number(found.get(name, found.get(name.replace(" ", ""), "0")), f"NRRD {name}")
+    if value < least:
+        only = "" if least < 0 or name == "line skip" else " (-1, the end of the file, only where encoding is raw)"
+        raise refuse(f"NRRD {name} = {value}: at least {least}{only}")
+    return value
+
+
+def _spacing(found: dict[str, str], vectors: list[NDArray[np.float64] | None] | None, kept: list[int]) -> Edges | None:
+    """Voxel edges, mm; None where the header has none. raises: SpecError where they are of no use"""
+    edges = _edges(found, kept)
+    if vectors is not None:
+        length = mm_per(_one_unit(found, ("space units", "units"), kept), "NRRD space units")
+        norms = [float(np.linalg.norm(vectors[k])) * length for k in kept if vectors[k] is not None]  # type: ignore[arg-type]
+        if len(norms) == 3:
+            spacing = checked_spacing(norms, "NRRD space directions")
+            if edges is not None and not np.allclose(edges[::-1], spacing, rtol=0.01):
+                raise refuse(
+                    f"NRRD space directions say voxels of {norms} mm, spacings {list(edges)}: give spacing_mm (mm, "
+                    "slowest axis first)"
+                )
+            return spacing
+    return None if edges is None else checked_spacing(edges, "NRRD spacings")
+
+
+def _edges(found: dict[str, str], kept: list[int]) -> list[float] | None:
+    """Those of the field spacings, fastest first, mm; None without, or where one is NaN."""
+    if "spacings" not in found:
+        return None
+    edges = found["spacings"].split()
+    if len(edges) <= max(kept):
+        raise refuse(f"NRRD spacings = {found['spacings']!r}: three are needed")
+    if any(edges[k].lower() in ("nan", "none", "???") for k in kept):
+        return None
+    length = mm_per(_one_unit(found, ("units", "space units"), kept), "NRRD units")
+    return [number(edges[k], "NRRD spacings") * length for k in kept]
+
+
+def _one_unit(found: dict[str, str], names: tuple[str, str], kept: list[int]) -> str:
+    """The unit of all axes; "" where none is given. raises: SpecError where they differ"""
+    text = next((found[name] for name in names if name in found), "")
+    units = re.findall(r'"([^"]*)"', text) or text.split()
+    if len(units) > 3 and len(units) > max(kept):
+        units = [units[k] for k in kept]
+    distinct = {unit.strip() for unit in units} - {""}
+    if len(distinct) > 1:
+        raise refuse(f"NRRD units = {text[:80]!r}: one for all axes is needed; give spacing_mm")
+    return next(iter(distinct), "")
+
+
+def _axes(
+    found: dict[str, str], vectors: list[NDArray[np.float64] | None] | None, kept: list[int]
+) -> tuple[Axes, tuple[str, ...]]:
+    """Where the axes lead, and what to tell of it. raises: SpecError where that is not to be had"""
+    rows = [vectors[k] for k in kept if vectors[k] is not None] if vectors else []
+    if len(rows) < 3:
+        return OWN_AXES, ()
+    space = found.get("space", "")
+    frame = _FRAMES.get(space.lower())
+    directions = np.array(rows)
+    return axes_or_own(directions, frame) if frame else axes_without_patient(directions, space or "space dimension")
 
 
 def _field(found: dict[str, str], name: str) -> str:
@@ -103,9 +205,18 @@ def _field(found: dict[str, str], name: str) -> str:
     return found[name]
 
 
-def _vectors(text: str) -> np.ndarray[tuple[int, ...], np.dtype[np.float64]]:
-    """Three vectors such as "(1,0,0) (0,1,0) (0,0,1)", one a row."""
-    rows = re.findall(r"\(([^)]*)\)", text)
-    if len(rows) != 3 or any(len(row.split(",")) != 3 for row in rows):
-        raise refuse(f"NRRD space directions = {text[:80]!r}: three vectors of three numbers")
-    return np.array([[number(n, "NRRD space directions") for n in row.split(",")] for row in rows])
+def _vectors(text: str, axes: int) -> list[NDArray[np.float64] | None]:
+    """Vectors such as "none (1,0,0) (0,1,0) (0,0,1)", one an axis."""
+    words = re.findall(r"\(([^)]*)\)|(\S+)", text)
+    rows = [None if word.lower() == "none" else row.split(",") for row, word in words]
+    ok = all(word.lower() in ("", "none") for _, word in words) and all(r is None or len(r) == 3 for r in rows)
+    if not ok or len(rows) != axes:
+        raise refuse(f"NRRD space directions = {text[:80]!r}: for each of {axes} axes three numbers, or none")
+    return [None if r is None else np.array(list(map(number, r, repeat("NRRD space directions")))) for r in rows]
+
+
+def _decoded(text: bytes) -> str:
+    try:
+        return text.decode("utf-8")
+    except UnicodeDecodeError:
+        return text.decode("latin-1")

@@ -27,8 +27,8 @@ class RawHeader(Spec):
         description="voxel edges along the axes of the array, slowest first [mm]",
     )
     axes: Axes = Field(OWN_AXES, strict=False, description="where each axis of the array leads, slowest first")
-    dtype: Literal["int8", "uint8", "int16", "uint16", "int32", "uint32"] = Field(
-        "uint8", description="type of a voxel"
+    dtype: Literal["int8", "uint8", "int16", "uint16", "int32", "uint32", "int64", "uint64", "float32", "float64"] = (
+        Field("uint8", description="type of a voxel; its labels are whole numbers")
     )
     byte_order: Literal["little", "big"] = Field("little", description="order of the bytes of a voxel")
     header_bytes: Annotated[int, Field(ge=0, le=2**24)] = Field(
@@ -58,6 +58,9 @@ class Reading(Spec):
         strict=False,
         json_schema_extra={"unit": "mm"},
         description="voxel edges along the axes of the array, slowest first; as the file says [mm]",
+    )
+    confirm_size: bool = Field(
+        False, description="whether a breast below 20 ml or above 5 l is one, and not one with voxels in another unit"
     )
     raw: RawHeader | None = Field(None, description="header of raw voxels (.raw, .raw.gz)")
 

@@ -9,6 +9,7 @@ from __future__ import annotations
 import json
 import re
 import shutil
+from collections.abc import Iterator
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import IO, Any
@@ -17,11 +18,16 @@ from pydantic import ValidationError
 
 from simcore.core.errors import SpecError
 from simcore.core.store import FileRef, Store, canonical
-from simcore.phantom.upload.header import refuse
+from simcore.phantom.upload.decoding import read_header
+from simcore.phantom.upload.header import Edges, Header, reason, refuse
 from simcore.phantom.upload.joining import join, two_files
 from simcore.phantom.upload.loading import survey
 from simcore.phantom.upload.reading import Reading
-from simcore.phantom.upload.spec import Axes, UploadedPhantom
+from simcore.phantom.upload.spec import UploadedPhantom
+
+LEAST_ML, MOST_ML = 20.0, 5000.0
+"""Volumes of breasts; others are more likely a matter of units."""
+_OTHER_UNITS = {"cm": 10.0, "um": 1e-3}
 
 FOLDER = "phantoms"
 SCHEMA = "tomosim-phantom/1"
@@ -32,7 +38,7 @@ class Upload:
     """A file in the store.
 
     name: what it was called. values: voxels of every value {value: count}.
-    phantom: the part of a specification that uses it.
+    phantom: the part of a specification that uses it. remarks: what was not read as it stands in the file.
     """
 
     sha256: str
@@ -41,6 +47,7 @@ class Upload:
     format: str
     values: dict[str, int]
     phantom: dict[str, Any]
+    remarks: tuple[str, ...] = ()
     schema: str = field(default=SCHEMA)
 
     @property
@@ -63,7 +70,7 @@ def add_file(store: Store, path: Path, reading: Reading | None = None) -> Upload
         path.open("rb").close()
     except OSError as error:
         raise SpecError(f"{path} cannot be read: {error.strerror}", code="upload-not-readable") from error
-    voxels, header = two_files(path) or (path, None)
+    voxels, header = (two_files(path) if reading.raw is None else None) or (path, None)
     with store.workspace() as folder:
         target = folder / "upload"
         if header is None:
@@ -71,7 +78,7 @@ def add_file(store: Store, path: Path, reading: Reading | None = None) -> Upload
             return add_received(store, target, path.name, reading)
         with open(voxels, "rb") as source, open(target, "wb") as file:
             join(header, source, file)
-        return _add(store, target, path.name, reading, header.axes)
+        return _add(store, target, path.name, reading, header)
 
 
 def add_received(store: Store, received: Path, name: str, reading: Reading) -> Upload:
@@ -82,7 +89,7 @@ def add_received(store: Store, received: Path, name: str, reading: Reading) -> U
     with open(received, "rb") as source, open(joined, "wb") as target:
         header = reading.raw.header(source)
         join(header, source, target)
-    return _add(store, joined, name, reading, header.axes)
+    return _add(store, joined, name, reading, header)
 
 
 def is_digest(text: str) -> bool:
@@ -93,7 +100,8 @@ def is_digest(text: str) -> bool:
 def get(store: Store, sha256: str) -> Upload | None:
     """The note of an upload, or None where there is none or its file is gone."""
     try:
-        found = Upload(**json.loads(store.read_document(FOLDER, f"{sha256}.json") or b"{}"))
+        note = json.loads(store.read_document(FOLDER, f"{sha256}.json") or b"{}")
+        found = Upload(**note | {"remarks": tuple(note.get("remarks", ()))})
     except (ValueError, TypeError):
         return None
     return found if store.has(found.ref) else None
@@ -131,15 +139,15 @@ def require(store: Store, spec: UploadedPhantom) -> Upload:
     return upload
 
 
-def _add(store: Store, path: Path, name: str, reading: Reading, axes: Axes | None) -> Upload:
-    """axes: those of a header that is not in the file any more."""
+def _add(store: Store, path: Path, name: str, reading: Reading, original: Header | None) -> Upload:
+    """original: a header that is not in the file any more."""
     with open(path, "rb") as file:
+        header = original or read_header(file)
+        spacing, axes = header.placed(reading.spacing_mm, reading.axes)
         found = survey(file, reading.tissues)
-    header = found.header
-    spacing = reading.spacing_mm or header.spacing_mm
-    if spacing is None:
-        raise refuse("its header has no voxel size: give spacing_mm")
-    axes = reading.axes or axes or header.axes
+    if found.box is None:
+        raise refuse(f"it holds nothing but air by the tissue map: values {', '.join(map(str, found.values))}")
+    _check_volume(found.body_voxels, spacing, reading)
     try:
         phantom = UploadedPhantom(
             sha256=64 * "0",
@@ -156,6 +164,52 @@ def _add(store: Store, path: Path, name: str, reading: Reading, axes: Axes | Non
     ref = store.add(path)
     values = {str(value): count for value, count in found.values.items()}
     part = phantom.with_(sha256=ref.sha256).model_dump(mode="json")
-    upload = Upload(ref.sha256, ref.size, name, header.format, values, part)
+    remarks = (*header.remarks, *_overridden(header, reading))
+    upload = Upload(ref.sha256, ref.size, name, found.header.format, values, part, remarks)
     store.write_document(FOLDER, f"{upload.sha256}.json", canonical(asdict(upload)))
     return upload
+
+
+def _overridden(header: Header, reading: Reading) -> Iterator[str]:
+    """What was said of the file and replaces what it says itself."""
+    if reading.axes is not None and reading.axes != header.axes:
+        known = ",".join(header.axes or ())
+        yield f"axes: {','.join(reading.axes)} as given, {_instead(header, 'axes', known)}"
+    if reading.spacing_mm is not None and reading.spacing_mm != header.spacing_mm:
+        known = " x ".join(f"{e:g}" for e in header.spacing_mm or ())
+        edges = " x ".join(f"{e:g}" for e in reading.spacing_mm)
+        yield f"voxels of {edges} mm as given, {_instead(header, 'spacing_mm', known)}"
+
+
+def _instead(header: Header, name: str, known: str) -> str:
+    problem = header.problems.get(name)
+    if problem is not None:
+        return f"not as in the file ({reason(problem)})"
+    return f"not {known} as in the file" if known else "as the file does not say"
+
+
+def _check_volume(voxels: int, spacing_mm: Edges, reading: Reading) -> None:
+    """raises: SpecError for a breast of a size that speaks of a wrong unit, unless it is confirmed"""
+    a, b, c = spacing_mm
+    ml = voxels * a * b * c * 1e-3
+    if reading.confirm_size or LEAST_ML <= ml <= MOST_ML:
+        return
+    edges = " x ".join(f"{e:g}" for e in spacing_mm)
+    units = " and ".join(f"{_litres(ml * scale**3)} in {unit}" for unit, scale in _OTHER_UNITS.items())
+    message = (
+        f"the tissue is {_litres(ml)} ({voxels} voxels of {edges} mm); a breast has from {_litres(LEAST_ML)} to "
+        f"{_litres(MOST_ML)}. "
+        f"The same numbers would make {units}: say the right ones in mm (--spacing-mm A,B,C, spacing_mm), or confirm "
+        "the size (--confirm-size, confirm_size = true)"
+    )
+    raise SpecError(
+        f"the label volume has an unlikely size: {message}",
+        code="upload-unlikely-size",
+        problems=[{"field": "spacing_mm", "value": list(spacing_mm), "message": message}],
+    )
+
+
+def _litres(ml: float) -> str:
+    if ml >= 1000:
+        return f"{ml / 1000:,.4g} l"
+    return f"{ml:.3g} ml" if ml >= 0.001 else "less than 0.001 ml"

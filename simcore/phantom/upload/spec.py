@@ -11,7 +11,8 @@ from simcore.phantom.upload.tissue_maps import TissueMap
 
 Axis = Literal["+x", "-x", "+y", "-y", "+z", "-z"]
 Count = Annotated[int, Field(ge=1, le=20_000)]
-Edge = Annotated[float, Field(ge=0.01, le=10.0)]
+MIN_EDGE_MM, MAX_EDGE_MM = 0.01, 10.0
+Edge = Annotated[float, Field(ge=MIN_EDGE_MM, le=MAX_EDGE_MM)]
 Extent = Annotated[float, Field(gt=0.0, le=2000.0)]
 
 
@@ -91,8 +92,12 @@ class UploadedPhantom(Spec):
 
     @property
     def voxels_held(self) -> int:
-        """Voxels that are held while it is read: the array, and what is cut out of it."""
-        return 2 * self.voxels
+        """Voxels that are held: those of the tissue, to which it is cut as it is read; the whole array where its extent
+        is not known."""
+        if self.extent_mm is None:
+            return self.voxels
+        x, y, z = self.extent_mm
+        return min(self.voxels, round(x * y * z / self.voxel_volume_mm3))
 
     @property
     def voxel_volume_mm3(self) -> float:

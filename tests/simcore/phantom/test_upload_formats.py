@@ -13,10 +13,11 @@ import numpy as np
 import pytest
 
 from simcore.core.errors import SpecError
-from simcore.phantom.upload.decoding import planes, read_header
+from simcore.phantom.upload.decoding import blocks, read_header
 from simcore.phantom.upload.header import Header
 from simcore.phantom.upload.joining import join, two_files
 from simcore.phantom.upload.reading import RawHeader, Reading
+from simcore.phantom.upload.values import labels_of
 
 _spec = importlib.util.spec_from_file_location("upload_files", Path(__file__).with_name("upload_files.py"))
 made = importlib.util.module_from_spec(_spec)
@@ -29,7 +30,12 @@ RANDOM = np.random.default_rng(0).integers(0, 127, (5, 6, 7))
 def read(data: bytes) -> tuple[Header, np.ndarray]:
     file = io.BytesIO(data)
     header = read_header(file)
-    return header, np.concatenate([part for _, part in planes(file, header)])
+    header.placed()
+    voxels = np.empty(header.shape, header.dtype)
+    for plane, row, part in blocks(file, header):
+        voxels[plane : plane + part.shape[0], row : row + part.shape[1]] = part
+        labels_of(part, header)
+    return header, voxels
 
 
 WRITERS: dict[str, Callable[[np.ndarray], bytes]] = {
@@ -43,7 +49,7 @@ WRITERS: dict[str, Callable[[np.ndarray], bytes]] = {
 }
 
 
-@pytest.mark.parametrize("dtype", ["u1", "i1", "<u2", ">u2", "<i2", ">i4", "<u4"])
+@pytest.mark.parametrize("dtype", ["u1", "i1", "<u2", ">u2", "<i2", ">i4", "<u4", ">i8", "<u8", ">f4", "<f8"])
 @pytest.mark.parametrize("name", WRITERS)
 def test_every_format_gives_back_shape_spacing_and_voxels(name: str, dtype: str) -> None:
     labels = RANDOM.astype(dtype)
@@ -61,10 +67,10 @@ def test_large_files_come_in_pieces_and_gzip_in_several_members() -> None:
     head = data[: len(data) - labels.size].replace(b"encoding: raw", b"encoding: gzip")
     members = b"".join(gzip.compress(part.tobytes()) for part in np.array_split(labels, 3))
     file = io.BytesIO(head + members)
-    parts = list(planes(file, read_header(file)))
+    parts = list(blocks(file, read_header(file)))
     assert len(parts) > 2
-    assert [first for first, _ in parts] == list(np.cumsum([0] + [len(p) for _, p in parts])[:-1])
-    np.testing.assert_array_equal(np.concatenate([p for _, p in parts]), labels)
+    assert [first for first, _, _ in parts] == list(np.cumsum([0] + [len(p) for _, _, p in parts])[:-1])
+    np.testing.assert_array_equal(np.concatenate([p for _, _, p in parts]), labels)
 
 
 DIRECTIONS = {
@@ -116,7 +122,7 @@ REFUSED = {
     "gzip of anything": (gzip.compress(b"some voxels" * 100), "raw voxels need a header"),
     "nrrd without end": (b"NRRD0004\ntype: uchar\n", "no end"),
     "nrrd without sizes": (made.as_nrrd(RANDOM.astype("u1"), without="sizes"), "no 'sizes'"),
-    "nrrd of floats": (made.as_nrrd(RANDOM.astype("u1"), more="type: float"), "whole numbers"),
+    "nrrd of floats": (made.as_nrrd(RANDOM + 0.5), "no whole number"),
     "nrrd with an odd encoding": (made.as_nrrd(RANDOM.astype("u1"), more="encoding: hex"), "raw, gzip or bzip2"),
     "nrrd in two files": (made.as_nrrd(RANDOM.astype("u1"), more="data file: a.raw"), "another file"),
     "nrrd, dimension": (made.as_nrrd(RANDOM.astype("u1"), more="dimension: 4"), "differ"),
@@ -128,16 +134,19 @@ REFUSED = {
     "nrrd, endian": (made.as_nrrd(RANDOM.astype("<u2"), without="endian"), "no 'endian'"),
     "nrrd, skip": (made.as_nrrd(RANDOM.astype("u1"), more="byte skip: -1"), "byte skip"),
     "oblique": (
-        made.as_nrrd(RANDOM.astype("u1"), more="space: LPS\nspace directions: (.8,.6,0) (-.6,.8,0) (0,0,1)"),
+        made.as_nrrd(
+            RANDOM.astype("u1"), more="space: LPS\nspace directions: (.8,.6,0) (-.6,.8,0) (0,0,1)", without="spacings"
+        ),
         "not parallel",
     ),
     "mha without its last tag": (b"ObjectType = Image\nNDims = 3\n", "no ElementDataFile"),
-    "mha of floats": (made.as_metaimage(RANDOM.astype("u1"), more="ElementType = MET_FLOAT"), "whole numbers"),
+    "mha of floats": (made.as_metaimage(RANDOM + 0.5), "no whole number"),
     "mha in two files": (made.as_metaimage(RANDOM.astype("u1"), data_file="a.raw"), r"another file, 'a\.raw'"),
     "mha as text": (made.as_metaimage(RANDOM.astype("u1"), more="BinaryData = False"), "binary form"),
     "mha of colours": (made.as_metaimage(RANDOM.astype("u1"), more="ElementNumberOfChannels = 3"), "Channels = 3"),
-    "nifti of floats": (made.as_nifti(RANDOM.astype("u1"), code=16), "datatype = 16"),
-    "nifti, scaled": (made.as_nifti(RANDOM.astype("u1"), slope=2.0), "scl_slope = 2"),
+    "nifti of floats": (made.as_nifti(RANDOM + 0.5), "no whole number"),
+    "nifti of complex numbers": (made.as_nifti(RANDOM.astype("u1"), code=32), "datatype = 32"),
+    "nifti, scaled": (made.as_nifti(RANDOM.astype("u1"), slope=0.3), r"scl_slope = 0\.3.* nibabel\.save"),
     "nifti in two files": (
         made.as_nifti(RANDOM.astype("u1"), packed=False).replace(b"n+1\0", b"ni1\0"),
         "second file",

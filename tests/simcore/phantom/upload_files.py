@@ -9,9 +9,12 @@ import zlib
 
 import numpy as np
 
-NRRD_TYPES = {"u1": "uchar", "i1": "int8", "u2": "unsigned short", "i2": "int16", "i4": "int", "u4": "uint32"}
-MET_TYPES = {"u1": "UCHAR", "i1": "CHAR", "u2": "USHORT", "i2": "SHORT", "i4": "INT", "u4": "UINT"}
-NIFTI_TYPES = {"u1": 2, "i2": 4, "i4": 8, "i1": 256, "u2": 512, "u4": 768}
+NRRD_TYPES = {"u1": "uchar", "i1": "int8", "u2": "unsigned short", "i2": "int16", "i4": "int", "u4": "uint32",
+              "i8": "longlong", "u8": "uint64", "f4": "float", "f8": "double"}  # fmt: skip
+MET_TYPES = {"u1": "UCHAR", "i1": "CHAR", "u2": "USHORT", "i2": "SHORT", "i4": "INT", "u4": "UINT",
+             "i8": "LONG_LONG", "u8": "ULONG_LONG", "f4": "FLOAT", "f8": "DOUBLE"}  # fmt: skip
+NIFTI_TYPES = {"u1": 2, "i2": 4, "i4": 8, "i1": 256, "u2": 512, "u4": 768,
+               "i8": 1024, "u8": 1280, "f4": 16, "f8": 64}  # fmt: skip
 
 
 def fast_first(values: tuple) -> str:
