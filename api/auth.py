@@ -24,7 +24,11 @@ from worker.contract import SCOPES, Scope
 from worker.quotas import Submitter
 from worker.settings import is_loopback
 
-CHALLENGE = {"WWW-Authenticate": 'Bearer realm="tomosim", Basic realm="tomosim", charset="UTF-8"'}
+CHALLENGES = [
+    ("WWW-Authenticate", 'Bearer realm="tomosim"'),
+    ("WWW-Authenticate", 'Basic realm="tomosim", charset="UTF-8"'),
+]
+"""Each in a line of its own: Chromium asks for no password where it stands behind another one."""
 
 
 @dataclass(frozen=True)
@@ -155,4 +159,4 @@ def _name(host: str) -> str:
 
 
 def _unauthorized(detail: str) -> ApiError:
-    return ApiError(401, "unauthorized", detail, headers=CHALLENGE)
+    return ApiError(401, "unauthorized", detail, headers=CHALLENGES)

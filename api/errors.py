@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import logging
 import math
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from http import HTTPStatus
 from typing import Any
 
@@ -12,12 +12,12 @@ from fastapi import FastAPI, Request
 from fastapi.exceptions import RequestValidationError
 from fastapi.responses import JSONResponse, Response
 from pydantic import BaseModel, Field
-from sqlalchemy.exc import DBAPIError, InterfaceError, OperationalError
 from starlette.exceptions import HTTPException
 from starlette.routing import Match
 
 from simcore.core.errors import ResourceLimitError, SimulationError, SpecError, StoreError
 from worker import logs
+from worker.database import AWAY
 from worker.jobs import NotFoundError
 from worker.quotas import QuotaError
 from worker.retention import ExpiredError
@@ -68,7 +68,7 @@ class ApiError(Exception):
         detail: str,
         *,
         errors: list[dict[str, Any]] | None = None,
-        headers: Mapping[str, str] | None = None,
+        headers: Mapping[str, str] | Iterable[tuple[str, str]] = (),
         **more: Any,
     ) -> None:
         super().__init__(detail)
@@ -76,7 +76,7 @@ class ApiError(Exception):
         self.code = code
         self.detail = detail
         self.errors = errors
-        self.headers = headers
+        self.headers = list(headers.items() if isinstance(headers, Mapping) else headers)
         self.more = more
 
 
@@ -93,7 +93,10 @@ def problem_response(path: str, error: ApiError) -> JSONResponse:
         **({"errors": error.errors} if error.errors else {}),
         **error.more,
     }
-    return JSONResponse(body, error.status, error.headers, media_type="application/problem+json")
+    response = JSONResponse(body, error.status, media_type="application/problem+json")
+    for name, value in error.headers:
+        response.headers.append(name, value)
+    return response
 
 
 def from_simulation_error(error: SimulationError) -> ApiError:
@@ -105,8 +108,6 @@ def from_simulation_error(error: SimulationError) -> ApiError:
         return ApiError(507, "storage-full", str(error))
     if isinstance(error, StoreError) and error.code == "store-unavailable":
         return ApiError(503, "store-unavailable", str(error), headers=SOON)
-    if isinstance(error, StoreError) and error.code == "store-unavailable":
-        return ApiError(503, error.code, str(error), headers={"Retry-After": "5"})
     return ApiError(500, error.code, str(error))
 
 
@@ -178,12 +179,13 @@ def install(app: FastAPI) -> None:
         detail = "; ".join(f"{item['parameter']} = {item['value']!r}: {item['detail']}" for item in items)
         return problem_response(request.url.path, ApiError(422, "invalid-request", detail, errors=items))
 
-    @app.exception_handler(OperationalError)
-    @app.exception_handler(InterfaceError)
-    async def _database(request: Request, error: DBAPIError) -> Response:
+    async def _database(request: Request, error: Exception) -> Response:
         log.error("the database does not answer", extra={"error": repr(error)})
         answer = ApiError(503, "database-unavailable", "the database does not answer: try again", headers=SOON)
         return problem_response(request.url.path, answer)
+
+    for away in AWAY:
+        app.add_exception_handler(away, _database)
 
     @app.exception_handler(QuotaError)
     async def _quota(request: Request, error: QuotaError) -> Response:

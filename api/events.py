@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import logging
 import time
 from collections.abc import AsyncIterator
 from typing import Annotated, Any
@@ -17,7 +18,10 @@ from api.deps import Identifier, Served
 from api.errors import ApiError
 from api.resources import simulation_path
 from worker.contract import EVENT_STATE, FINAL_STATES
+from worker.database import AWAY
 from worker.leases import Event, Leases
+
+log = logging.getLogger(__name__)
 
 FIRST_POLL_SECONDS = 0.1
 LONGEST_POLL_SECONDS = 0.5
@@ -65,14 +69,13 @@ async def stream(leases: Leases[Any], identifier: str, sequence: int, path: str)
     spoke = time.monotonic()
     pause = FIRST_POLL_SECONDS
     while True:
-        for event in await run_in_threadpool(leases.events_after, identifier, sequence):
+        events, ended = await run_in_threadpool(_news, leases, identifier, sequence)
+        for event in events:
             sequence = event.sequence
             spoke = time.monotonic()
             pause = FIRST_POLL_SECONDS
             yield _format(event, leases.what, path)
-        # The row says when there is nothing more to come: a retried case goes on after a final event, and a client
-        # that has seen the last event must not wait for another.
-        if await run_in_threadpool(_ended, leases, identifier, sequence):
+        if ended:
             return
         if time.monotonic() - spoke > HEARTBEAT_SECONDS:
             spoke = time.monotonic()
@@ -81,12 +84,19 @@ async def stream(leases: Leases[Any], identifier: str, sequence: int, path: str)
         pause = min(LONGEST_POLL_SECONDS, 1.2 * pause)
 
 
-def _ended(leases: Leases[Any], identifier: str, sequence: int) -> bool:
+def _news(leases: Leases[Any], identifier: str, sequence: int) -> tuple[list[Event], bool]:
+    """The events after ``sequence``, and whether none will follow. Where the database is away: none, and they may."""
     try:
+        events = leases.events_after(identifier, sequence)
         row = leases.get(identifier)
     except LookupError:
-        return True
-    return bool(row.is_final and row.revision <= sequence)
+        return [], True
+    except AWAY as error:
+        log.warning("the database does not answer: the stream waits", extra={"error": repr(error)})
+        return [], False
+    # The row says when there is nothing more to come: a retried case goes on after a final event, and a client that
+    # has seen the last event must not wait for another.
+    return events, bool(row.is_final and row.revision <= (events[-1].sequence if events else sequence))
 
 
 def _format(event: Event, what: str, path: str) -> str:

@@ -114,19 +114,7 @@ def _settings(database_url: str, broker_url: str, location: Location) -> dict[st
 def make_database(postgres_url: str) -> Callable[[], str]:
     """Makes a PostgreSQL database with all tables: its URL."""
 
-    def make() -> str:
-        name = f"service_{uuid.uuid4().hex[:12]}"
-        engine = connect(postgres_url)
-        with engine.connect().execution_options(isolation_level="AUTOCOMMIT") as connection:
-            connection.execute(sa.text(f"CREATE DATABASE {name}"))
-        engine.dispose()
-        url = postgres_url.replace("/postgres?", f"/{name}?")
-        engine = connect(url)
-        create_tables(engine)
-        engine.dispose()
-        return url
-
-    return make
+    return lambda: _create_database(postgres_url)
 
 
 @pytest.fixture(scope="session")
@@ -193,72 +181,103 @@ def _empty_redis(url: str) -> None:
 S3_KEYS = {"access_key": "test-key", "secret_key": "test-secret"}
 
 
-@pytest.fixture(scope="session")
-def postgres_url() -> Iterator[str]:
-    """A PostgreSQL server of our own on a Unix socket; skipped where the programs are not installed."""
-    # Debian keeps the server's programs off the PATH.
-    folders = [os.environ["PATH"], *map(str, sorted(Path("/usr/lib/postgresql").glob("*/bin"), reverse=True))]
-    programs = os.pathsep.join(folders)
-    if not shutil.which("initdb", path=programs) or not shutil.which("postgres", path=programs):
-        pytest.skip("needs PostgreSQL's initdb and postgres: the Debian package postgresql")
-    pytest.importorskip("pg8000")
-    folder = Path(tempfile.mkdtemp(prefix="pg"))
-    # PostgreSQL refuses to run as root.
-    user = "nobody" if os.getuid() == 0 else None
-    if user:
-        shutil.chown(folder, user)
-    database = folder / "database"
-    env = {"PATH": programs, "HOME": str(folder)}
-    subprocess.run(
-        [
-            shutil.which("initdb", path=programs) or "initdb",
-            "-D",
-            database,
-            "-U",
-            "tomosim",
-            "--auth=trust",
-            "-N",
-            "-E",
-            "UTF8",
-        ],
-        user=user,
-        cwd=folder,
-        env=env,
-        check=True,
-        capture_output=True,
-    )
-    server = subprocess.Popen(
-        [
-            shutil.which("postgres", path=programs) or "postgres",
-            "-D",
-            database,
-            "-k",
-            folder,
-            "-c",
-            "listen_addresses=",
-            "-F",
-        ],
-        user=user,
-        cwd=folder,
-        env=env,
-        stderr=subprocess.DEVNULL,
-    )
-    url = f"postgresql://tomosim@/postgres?unix_sock={folder}/.s.PGSQL.5432"
-    try:
-        engine = connect(url)
+class Postgres:
+    """A PostgreSQL server of our own on a Unix socket.
+
+    raises: pytest.skip.Exception where the programs are not installed
+    """
+
+    def __init__(self) -> None:
+        # Debian keeps the server's programs off the PATH.
+        folders = [os.environ["PATH"], *map(str, sorted(Path("/usr/lib/postgresql").glob("*/bin"), reverse=True))]
+        programs = os.pathsep.join(folders)
+        initdb, self._program = (shutil.which(name, path=programs) for name in ("initdb", "postgres"))
+        if initdb is None or self._program is None:
+            pytest.skip("needs PostgreSQL's initdb and postgres: the Debian package postgresql")
+        pytest.importorskip("pg8000")
+        self.folder = Path(tempfile.mkdtemp(prefix="pg"))
+        # PostgreSQL refuses to run as root.
+        self._user = "nobody" if os.getuid() == 0 else None
+        if self._user:
+            shutil.chown(self.folder, self._user)
+        self._env = {"PATH": programs, "HOME": str(self.folder)}
+        options = ["-U", "tomosim", "--auth=trust", "-N", "-E", "UTF8"]
+        subprocess.run(
+            [initdb, "-D", self.folder / "database", *options],
+            user=self._user,
+            cwd=self.folder,
+            env=self._env,
+            check=True,
+            capture_output=True,
+        )
+        self.url = f"postgresql://tomosim@/postgres?unix_sock={self.folder}/.s.PGSQL.5432"
+        self.process: subprocess.Popen[bytes] | None = None
+
+    def start(self) -> None:
+        """Starts the server and waits until it answers."""
+        assert self._program is not None
+        self.process = subprocess.Popen(
+            [self._program, "-D", self.folder / "database", "-k", self.folder, "-c", "listen_addresses=", "-F"],
+            user=self._user,
+            cwd=self.folder,
+            env=self._env,
+            stderr=subprocess.DEVNULL,
+        )
+        engine = connect(self.url)
         for _ in range(100):
             try:
                 engine.connect().close()
                 break
             except sa.exc.DBAPIError:
-                assert server.poll() is None
+                assert self.process.poll() is None
                 time.sleep(0.1)
         engine.dispose()
-        yield url
+
+    def stop(self, how: signal.Signals = signal.SIGINT) -> None:
+        """Ends the server without waiting for clients. how: SIGINT (fast) or SIGQUIT (immediate, as after a crash)"""
+        if self.process is not None:
+            self.process.send_signal(how)
+            self.process.wait(20)
+            self.process = None
+
+    def remove(self) -> None:
+        self.stop()
+        shutil.rmtree(self.folder, ignore_errors=True)
+
+
+def _create_database(postgres_url: str) -> str:
+    name = f"service_{uuid.uuid4().hex[:12]}"
+    engine = connect(postgres_url)
+    with engine.connect().execution_options(isolation_level="AUTOCOMMIT") as connection:
+        connection.execute(sa.text(f"CREATE DATABASE {name}"))
+    engine.dispose()
+    url = postgres_url.replace("/postgres?", f"/{name}?")
+    engine = connect(url)
+    create_tables(engine)
+    engine.dispose()
+    return url
+
+
+@pytest.fixture(scope="session")
+def postgres_url() -> Iterator[str]:
+    """URL of the PostgreSQL server that all tests share."""
+    server = Postgres()
+    try:
+        server.start()
+        yield server.url
     finally:
-        server.send_signal(signal.SIGINT)  # without waiting for clients
-        server.wait(20)
-        shutil.rmtree(folder, ignore_errors=True)
+        server.remove()
+
+
+@pytest.fixture
+def own_postgres() -> Iterator[tuple[Postgres, str]]:
+    """A PostgreSQL server for one test, which may stop it, and the URL of a database there with all tables."""
+    server = Postgres()
+    try:
+        server.start()
+        yield server, _create_database(server.url)
+    finally:
+        server.remove()
 
 
 @pytest.fixture

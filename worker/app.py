@@ -9,7 +9,7 @@ from __future__ import annotations
 import logging
 import os
 import socket
-import threading
+from functools import partial
 from typing import Any
 
 from celery import Celery, signals
@@ -21,6 +21,7 @@ from worker.database import connect
 from worker.fleet import BEAT_SECONDS, Fleet
 from worker.jobs import Jobs
 from worker.messages import create_celery
+from worker.repeat import Repeated
 from worker.settings import Settings
 from worker.storage import open_store
 from worker.supervisor import Slots
@@ -40,7 +41,8 @@ class Worker:
         self.slots = Slots(self.name, settings, Jobs(engine, settings.lease_seconds))
         self.celery = create_celery(settings)
         self.celery.task(self._simulate, name=TASK_SIMULATE)
-        self._heart = threading.Thread(target=self._beat, name="heartbeat", daemon=True)
+        beat = partial(self.fleet.beat, self.name, settings.worker_slots)
+        self._heart = Repeated("heartbeat", beat, BEAT_SECONDS, at_once=True)
 
     def run(self) -> int:
         """Works until SIGTERM or SIGINT; the exit code."""
@@ -65,6 +67,7 @@ class Worker:
             return end.code if isinstance(end.code, int) else int(end.code is not None)
         finally:
             self.slots.stopping.set()
+            self._heart.stop(0.0)
             self.slots.kill()
             try:
                 self.fleet.gone(self.name)
@@ -87,15 +90,6 @@ class Worker:
 
     def _shutting_down(self, **_: Any) -> None:
         self.slots.stopping.set()
-
-    def _beat(self) -> None:
-        while True:
-            try:
-                self.fleet.beat(self.name, self.settings.worker_slots)
-            except SQLAlchemyError:
-                log.exception("heartbeat not recorded")
-            if self.slots.stopping.wait(BEAT_SECONDS):
-                return
 
 
 def main() -> int:

@@ -2,16 +2,27 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+import logging
+import time
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import sqlalchemy as sa
 from sqlalchemy import event
+from sqlalchemy.exc import InterfaceError, OperationalError, TimeoutError
 
-POSTGRES_DRIVER = "postgresql+pg8000"
-"""Driver of a URL that names none; the extra ``postgres`` installs it."""
+from worker import postgres
+
+AWAY = (OperationalError, InterfaceError, TimeoutError)
+"""What SQLAlchemy raises where the database does not answer."""
+
+RETRY_SECONDS = 0.5
+
+Result = TypeVar("Result")
+
+log = logging.getLogger(__name__)
 
 metadata = sa.MetaData()
 
@@ -86,7 +97,8 @@ def connect(url: str) -> sa.Engine:
     """An engine for ``url``; opens nothing yet."""
     made = sa.make_url(url)
     if made.drivername == "postgresql":
-        made = made.set(drivername=POSTGRES_DRIVER)
+        made = made.set(drivername=postgres.DRIVER)
+    postgres.install()
     if made.get_backend_name() != "sqlite":
         return sa.create_engine(made, pool_pre_ping=True)
     if made.database:
@@ -102,6 +114,23 @@ def reading(engine: sa.Engine) -> Iterator[sa.Connection]:
     """A connection that only reads: it waits for no writer."""
     with engine.connect().execution_options(tomosim_reading=True) as connection:
         yield connection
+
+
+def outlast(action: Callable[[], Result], give_up: Callable[[], bool]) -> Result:
+    """What ``action`` returns; tried again and again where the database does not answer.
+
+    raises: the errors ``AWAY`` where it does not and ``give_up`` says so
+    """
+    while True:
+        try:
+            return action()
+        except AWAY as error:
+            if give_up():
+                raise
+            log.warning(
+                "the database does not answer; tried again in %g s", RETRY_SECONDS, extra={"error": repr(error)}
+            )
+        time.sleep(RETRY_SECONDS)
 
 
 def _prepare_sqlite(connection: Any, record: Any) -> None:

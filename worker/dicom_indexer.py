@@ -15,6 +15,7 @@ from simcore.core.store import FileRef, Store
 from worker.dicom_files import open_stored, read_header
 from worker.dicom_index import LEVELS, DicomIndex, Entry, Json
 from worker.dicom_tables import KEYS, TABLES, Level
+from worker.repeat import Repeated
 
 log = logging.getLogger(__name__)
 
@@ -56,17 +57,8 @@ class Indexer:
         self.index = index
         self.store = store
         self._filling = threading.Lock()
-        self._stopping = threading.Event()
-        self._thread = threading.Thread(target=self._loop, name="dicom-indexer", daemon=True)
-
-    def start(self) -> None:
-        """Fills the index every few seconds, in a thread of its own."""
-        self._thread.start()
-
-    def stop(self) -> None:
-        """Ends the thread."""
-        self._stopping.set()
-        self._thread.join(10.0)
+        self._repeated = Repeated("dicom-indexer", self.catch_up, INTERVAL_SECONDS)
+        self.start, self.stop = self._repeated.start, self._repeated.stop
 
     def catch_up(self) -> None:
         """Puts every case that succeeded into the index, the oldest first: what came last is shown first."""
@@ -74,7 +66,7 @@ class Indexer:
             return
         done = set()
         try:
-            while (missing := self.index.missing()) and not self._stopping.is_set():
+            while (missing := self.index.missing()) and not self._repeated.stopping.is_set():
                 identifier, manifest = missing
                 if identifier in done:
                     raise RuntimeError(f"the case {identifier} cannot be put into the DICOM index")
@@ -103,13 +95,6 @@ class Indexer:
         if problems:
             log.warning("not in the DICOM index", extra={"simulation": identifier, "files": problems[:5]})
         self.index.add(identifier, entries, "; ".join(problems)[:2000] or None)
-
-    def _loop(self) -> None:
-        while not self._stopping.wait(INTERVAL_SECONDS):
-            try:
-                self.catch_up()
-            except Exception:
-                log.exception("the DICOM index was not filled; tried again in %g s", INTERVAL_SECONDS)
 
 
 def read_entry(store: Store, name: str, ref: FileRef) -> Entry:

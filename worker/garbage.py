@@ -8,7 +8,6 @@ once. The store keeps removing and using apart (``Store.remove_record``); severa
 from __future__ import annotations
 
 import logging
-import threading
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import asdict, dataclass
@@ -22,6 +21,7 @@ from worker.chores import Chores
 from worker.contract import FINAL_STATES
 from worker.database import reading, simulations
 from worker.deliveries import deliveries, instances
+from worker.repeat import Repeated
 from worker.retention import Retention, unexpired
 from worker.settings import Settings
 
@@ -115,16 +115,12 @@ class Collector:
         self.clock = clock
         self.chores = Chores(engine, clock)
         self.retention = Retention(engine, clock)
-        self._stopping = threading.Event()
-        self._thread = threading.Thread(target=self._loop, name="garbage", daemon=True)
-
-    def start(self) -> None:
-        self._thread.start()
+        self._repeated = Repeated("garbage", self.sweep, min(60.0, settings.gc_interval_seconds))
+        self.start = self._repeated.start
 
     def stop(self) -> None:
         """Ends the thread, at the latest when its pass is over or with the process."""
-        self._stopping.set()
-        self._thread.join(2.0)
+        self._repeated.stop(2.0)
 
     def sweep(self) -> Collection | None:
         """One pass where it is due and no other process does it. raises: Exception where database or store fail"""
@@ -137,10 +133,3 @@ class Collector:
         log.info("garbage collected", extra={**asdict(found), "events": pruned})
         self.chores.done(CHORE, interval)
         return found
-
-    def _loop(self) -> None:
-        while not self._stopping.wait(min(60.0, self.settings.gc_interval_seconds)):
-            try:
-                self.sweep()
-            except Exception:
-                log.exception("collection of garbage failed; tried again later")

@@ -171,11 +171,11 @@ class Leases(Generic[Row]):
             "started": now,
         }
         with self.engine.begin() as connection:
-            if not self._may_claim(connection, identifier):
-                return None
-            if not self._change(connection, identifier, ["queued"], values):
-                return None
-            return self._one(connection, identifier)
+            if self._may_claim(connection, identifier):
+                self._change(connection, identifier, ["queued"], values)
+            # The owner's also where a first try was written and its answer lost with the connection.
+            mine = sa.select(*self._columns).where(*self._mine(identifier, owner))
+            return next(iter(self._many(connection.execute(mine))), None)
 
     def _may_claim(self, connection: sa.Connection, identifier: str) -> bool:
         """Whether something besides its state keeps a row from being claimed."""

@@ -6,7 +6,6 @@ Everything it does is a compare-and-set, so several sweeps at once do no harm.
 from __future__ import annotations
 
 import logging
-import threading
 
 from worker import counters
 from worker.contract import SIMULATION_QUEUES, Queue
@@ -15,6 +14,7 @@ from worker.fleet import Fleet
 from worker.idempotency import Idempotency
 from worker.jobs import Jobs, Simulation
 from worker.messages import Messenger
+from worker.repeat import Repeated
 from worker.settings import Settings
 from worker.studies import Studies
 
@@ -41,16 +41,8 @@ class Reaper:
         self.messenger = messenger
         self.studies = Studies(jobs)
         self.idempotency = Idempotency(jobs.engine, settings.idempotency_seconds)
-        self._stopping = threading.Event()
-        self._thread = threading.Thread(target=self._loop, name="reaper", daemon=True)
-
-    def start(self) -> None:
-        self._thread.start()
-
-    def stop(self) -> None:
-        """Ends the thread."""
-        self._stopping.set()
-        self._thread.join(10.0)
+        self._repeated = Repeated("reaper", self.sweep, settings.sweep_seconds)
+        self.start, self.stop = self._repeated.start, self._repeated.stop
 
     def sweep(self) -> None:
         """One pass. raises: Exception where the database or the broker does not answer"""
@@ -83,10 +75,3 @@ class Reaper:
     def _send(self, leases: Jobs | Deliveries, row: Simulation | Delivery) -> None:
         self.messenger.send(row.id, row.queue)
         leases.mark_sent(row.id)
-
-    def _loop(self) -> None:
-        while not self._stopping.wait(self.settings.sweep_seconds):
-            try:
-                self.sweep()
-            except Exception:
-                log.exception("sweep failed; tried again in %g s", self.settings.sweep_seconds)

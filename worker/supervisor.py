@@ -18,17 +18,16 @@ from sqlalchemy.exc import SQLAlchemyError
 from worker import logs
 from worker.compute_process import ComputeDiedError, ComputeProcess
 from worker.contract import INTERNAL_ERROR, OUT_OF_MEMORY, TIMEOUT
+from worker.database import AWAY, outlast
 from worker.jobs import Jobs, Simulation, StageProgress
 from worker.settings import Settings
 from worker.storage import open_store
-from worker.watch import Watch
+from worker.watch import Watch, write_end
 
 log = logging.getLogger(__name__)
 
 POLL_SECONDS = 0.1
 """How long a slot waits for a message before it looks at the clock and whether the worker stops."""
-
-WRITE_ATTEMPTS = 5
 
 Json = dict[str, Any]
 
@@ -70,7 +69,7 @@ class Slot:
             return
         self._claims += 1
         owner = f"{self.name}/{self._claims}"
-        job = self.jobs.claim(identifier, owner)
+        job = outlast(lambda: self.jobs.claim(identifier, owner), self.stopping.is_set)
         if job is None:
             log.info("not queued: message ignored", extra={"simulation": identifier})
             return
@@ -80,12 +79,15 @@ class Slot:
     def _run(self, job: Simulation, owner: str) -> None:
         log.info("started")
         try:
-            finish = self._supervise(job, owner, self.jobs.specification(job.id))
+            specification = outlast(lambda: self.jobs.specification(job.id), self.stopping.is_set)
+            finish = self._supervise(job, owner, specification)
+        except AWAY:
+            raise  # not the case's doing: its lease runs out
         except Exception as error:
             log.exception("supervision failed")
             self.kill()
             finish = self._failure(job, owner, _internal(error))
-        kept = self._write(finish)
+        kept = bool(write_end(finish, self.stopping))
         log.info("ended", extra={"kept": kept})
         if not self.stopping.is_set():
             self.warm_up()
@@ -140,22 +142,12 @@ class Slot:
     def _failure(self, job: Simulation, owner: str, error: Json) -> Callable[[], bool]:
         return lambda: self.jobs.fail(job.id, owner, error)
 
-    def _write(self, finish: Callable[[], bool]) -> bool:
-        """Writes the end of a case, again where the database does not answer; in the end the lease runs out."""
-        for attempt in range(WRITE_ATTEMPTS):
-            try:
-                return finish()
-            except SQLAlchemyError:
-                log.exception("the database does not answer", extra={"try": attempt})
-                time.sleep(1.0)
-        return False
-
 
 class _Watch(Watch):
     """A watch that records progress as well."""
 
     def __init__(self, jobs: Jobs, identifier: str, owner: str, settings: Settings) -> None:
-        super().__init__(jobs, identifier, owner, settings.job_timeout_seconds)
+        super().__init__(jobs, identifier, owner, settings.job_timeout_seconds, outlasts=True)
         self.jobs = jobs
 
     def progress(self, progress: StageProgress) -> None:

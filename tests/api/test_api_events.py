@@ -4,8 +4,9 @@ import json
 import threading
 
 import pytest
+from sqlalchemy.exc import OperationalError
 
-from api.events import _ended
+from api.events import _news
 from worker.jobs import StageProgress
 
 
@@ -62,10 +63,27 @@ def test_a_live_stream_ends_with_the_case(client, post, served, monkeypatch):
     assert ": still here" in text
 
 
-def test_the_end_is_told_before_the_stream_ends(served, case):
+def test_the_end_is_told_before_the_stream_ends(served, case, monkeypatch):
     """The case may end between the look at its events and the look at its state."""
-    assert not _ended(served.jobs, case["id"], 3)
-    assert _ended(served.jobs, case["id"], 4)
+    assert _news(served.jobs, case["id"], 4) == ([], True)
+    events, ended = _news(served.jobs, case["id"], 3)
+    assert [event.sequence for event in events] == [4]
+    assert ended
+    monkeypatch.setattr(served.jobs, "events_after", lambda *args: [])
+    assert _news(served.jobs, case["id"], 3) == ([], False)
+
+
+def test_a_stream_waits_for_the_database(client, case, served, monkeypatch):
+    read = served.jobs.events_after
+    away = iter([OperationalError("SELECT 1", {}, ConnectionError())] * 3)
+
+    def read_later(*args):
+        for error in away:
+            raise error
+        return read(*args)
+
+    monkeypatch.setattr(served.jobs, "events_after", read_later)
+    assert [event for _, event, _ in parse(client.get(case["links"]["events"]).text)][-1] == "state"
 
 
 def test_a_retried_case_goes_on(client, case, served, monkeypatch):

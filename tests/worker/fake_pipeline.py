@@ -2,6 +2,7 @@
 
 slow      four seconds of work in steps       forever   does not come to an end
 slower    ten seconds of it
+brief     two seconds of it
 silent    sleeps and tells nothing            noise     prints to standard output
 crash     kills its own process (SIGSEGV)     memory    asks for more memory than there is
 gigabyte  fills a gigabyte of memory          refuse    raises a SolverError
@@ -98,7 +99,7 @@ def misbehave(name: str, progress: Any) -> None:
         os._exit(3)
     if name == "silent":
         time.sleep(600)
-    steps = {"slow": 40, "slower": 100, "forever": sys.maxsize}.get(name, 0)
+    steps = {"brief": 20, "slow": 40, "slower": 100, "forever": sys.maxsize}.get(name, 0)
     for step in range(1, steps + 1):
         progress(STAGES[-1], min(0.99, step / steps), f"step {step}, process {os.getpid()}")
         time.sleep(0.1)

@@ -6,6 +6,7 @@ import logging
 import os
 import socket
 import threading
+from functools import partial
 from typing import Any
 
 from celery import signals
@@ -18,6 +19,7 @@ from worker.delivery.commitment import Listener
 from worker.delivery.sender import Sender
 from worker.fleet import BEAT_SECONDS, DELIVERY_PREFIX, Fleet
 from worker.messages import create_celery
+from worker.repeat import Repeated
 from worker.schema import prepare
 from worker.settings import Settings
 from worker.storage import open_store
@@ -35,7 +37,8 @@ class DeliveryWorker:
         prepare(engine)
         self.name = f"{DELIVERY_PREFIX}{socket.gethostname()}:{os.getpid()}"
         self.fleet = Fleet(engine)
-        self._heart = threading.Thread(target=self._beat, name="heartbeat", daemon=True)
+        beat = partial(self.fleet.beat, self.name, settings.delivery_slots)
+        self._heart = Repeated("heartbeat", beat, BEAT_SECONDS, at_once=True)
         deliveries = Deliveries(engine, settings.lease_seconds)
         self.sender = Sender(self.name, settings, deliveries, open_store(settings), self.stopping)
         self.celery = create_celery(settings)
@@ -66,6 +69,7 @@ class DeliveryWorker:
             return end.code if isinstance(end.code, int) else int(end.code is not None)
         finally:
             self.stopping.set()
+            self._heart.stop(0.0)
             if self.listener is not None:
                 self.listener.close()
             try:
@@ -87,12 +91,3 @@ class DeliveryWorker:
 
     def _shutting_down(self, **_: Any) -> None:
         self.stopping.set()
-
-    def _beat(self) -> None:
-        while True:
-            try:
-                self.fleet.beat(self.name, self.settings.delivery_slots)
-            except SQLAlchemyError:
-                log.exception("heartbeat not recorded")
-            if self.stopping.wait(BEAT_SECONDS):
-                return

@@ -8,6 +8,7 @@ import time
 from collections import deque
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
 from sqlalchemy.exc import SQLAlchemyError
@@ -15,6 +16,7 @@ from sqlalchemy.exc import SQLAlchemyError
 from simcore.core.errors import SimulationError, StoreError
 from simcore.core.store import FileRef, Store
 from worker.contract import INTERNAL_ERROR
+from worker.database import AWAY, Result, outlast
 from worker.deliveries import Deliveries, Delivery, Instance
 from worker.delivery import association, commitment, outcomes
 from worker.delivery.association import AssociationError, Kind, Peer, Throttle
@@ -24,7 +26,7 @@ from worker.delivery.outcomes import Json, Outcome
 from worker.destinations import Destination, Destinations
 from worker.leases import NotFoundError
 from worker.settings import Settings
-from worker.watch import Watch
+from worker.watch import Watch, write_end
 
 log = logging.getLogger(__name__)
 
@@ -36,8 +38,6 @@ FAILURES_IN_A_ROW = 2
 
 PORTION = 100
 """Instances that are made ready, and sent on the same associations."""
-
-WRITE_ATTEMPTS = 5
 
 
 class Sender:
@@ -62,25 +62,27 @@ class Sender:
         """Carries out a queued delivery. Does nothing where it is not due, or its destination is taken."""
         self._claims += 1
         owner = f"{self.name}/{self._claims}"
-        row = None if self.stopping.is_set() else self.deliveries.claim(identifier, owner)
+        row = None if self.stopping.is_set() else self._outlast(lambda: self.deliveries.claim(identifier, owner))
         if row is None:
             self.deliveries.mark_unsent(identifier)  # the sweep sends it when it is due
             return
         log.info("delivery started", extra={"delivery": identifier, "attempt": row.attempt})
         try:
             finish = self._carry_out(row, owner)
+        except AWAY:
+            raise  # not the delivery's doing: its lease runs out
         except Exception as error:
             log.exception("delivery failed", extra={"delivery": identifier})
             failure = _internal(error)
             finish = lambda: self.deliveries.fail(identifier, owner, failure)  # noqa: E731
-        kept = self._write(finish)
+        kept = bool(write_end(finish, self.stopping))
         log.info("delivery ended", extra={"delivery": identifier, "kept": kept})
 
     def _carry_out(self, row: Delivery, owner: str) -> Callable[[], object]:
         """Sends what is missing; returns what is to be written in the end."""
         identifier = row.id
         try:
-            destination = self.destinations.get(row.destination_id).definition
+            destination = self._outlast(lambda: self.destinations.get(row.destination_id)).definition
         except NotFoundError:
             gone = _error("destination-not-found", f"the destination {row.destination_name!r} was removed", "user")
             return lambda: self.deliveries.fail(identifier, owner, gone)
@@ -96,11 +98,12 @@ class Sender:
         if tour.refusal is not None:
             refusal = tour.refusal
             return lambda: self.deliveries.fail(identifier, owner, refusal)
-        if tour.uncommitted or self.deliveries.instances(identifier, state="waiting", limit=1):
+        waiting = self._outlast(lambda: self.deliveries.instances(identifier, state="waiting", limit=1))
+        if tour.uncommitted or waiting:
             limits = destination.limits
             trouble = tour.trouble or _error("not-finished", "not every instance was sent")
             return lambda: self.deliveries.postpone(identifier, owner, trouble, limits.attempts, limits.backoff_seconds)
-        failed = self.deliveries.instances(identifier, state="failed")
+        failed = self._outlast(lambda: self.deliveries.instances(identifier, state="failed"))
         if failed:
             return lambda: self.deliveries.fail(identifier, owner, _some_failed(failed, row.instances))
         return lambda: self.deliveries.succeed(identifier, owner)
@@ -128,15 +131,8 @@ class Sender:
         except SQLAlchemyError:
             log.exception("progress not recorded", extra={"delivery": tour.row.id})
 
-    def _write(self, finish: Callable[[], object]) -> object:
-        """Writes the end, again where the database does not answer; in the end the lease runs out."""
-        for attempt in range(WRITE_ATTEMPTS):
-            try:
-                return finish()
-            except SQLAlchemyError:
-                log.exception("the database does not answer", extra={"attempt": attempt})
-                time.sleep(1.0)
-        return False
+    def _outlast(self, action: Callable[[], Result]) -> Result:
+        return outlast(action, self.stopping.is_set)
 
 
 @dataclass(frozen=True)
@@ -216,7 +212,8 @@ class Tour:
         return not self._stopped.is_set() and self.refusal is None and self.trouble is None
 
     def _portion(self, after: int) -> list[Instance]:
-        return self.deliveries.instances(self.row.id, state="waiting", after=after, limit=PORTION)
+        take = partial(self.deliveries.instances, self.row.id, state="waiting", after=after, limit=PORTION)
+        return self._outlast(take)
 
     def _deliver(self, portion: list[Instance]) -> None:
         for instance in portion:
@@ -234,7 +231,8 @@ class Tour:
 
     def _commit(self, seconds: float) -> None:
         """Asks for storage commitment of all that is stored. raises: AssociationError"""
-        found = {i.sop_instance: i for i in self.deliveries.uncommitted(self.row.id) if i.sop_instance}
+        stored = self._outlast(lambda: self.deliveries.uncommitted(self.row.id))
+        found = {i.sop_instance: i for i in stored if i.sop_instance}
         if not found:
             return
         self.uncommitted = True
@@ -260,7 +258,7 @@ class Tour:
         committed = [i.number for uid, i in found.items() if uid in report.committed]
         others = {i.number: report.failed.get(uid, "its report does not name it") for uid, i in found.items()}
         failed = {number: why for number, why in others.items() if number not in committed}
-        self.deliveries.commit(self.row.id, committed, failed)
+        self._outlast(lambda: self.deliveries.commit(self.row.id, committed, failed))
 
     def _prepare(self, instance: Instance) -> Parcel | None:
         """Reads what a file is; None where it cannot be sent, which is written down."""
@@ -276,12 +274,15 @@ class Tour:
         except FileError as error:
             self._record(instance, outcomes.unreadable(instance.name, str(error)))
             return None
-        if instance.sop_instance is None:
-            self.deliveries.identify(self.row.id, instance.number, header.sop_instance)
-        if self.deliveries.other_version(self.row.destination_id, header.sop_instance, instance.sha256):
+        if self._outlast(lambda: self._is_other_version(instance, header.sop_instance)):
             self._record(instance, outcomes.reused(header.sop_instance))
             return None
         return Parcel(instance, header, path)
+
+    def _is_other_version(self, instance: Instance, sop_instance: str) -> bool:
+        if instance.sop_instance is None:
+            self.deliveries.identify(self.row.id, instance.number, sop_instance)
+        return self.deliveries.other_version(self.row.destination_id, sop_instance, instance.sha256)
 
     def _syntaxes(self, parcel: Parcel) -> list[str]:
         return offered(parcel.header.kind, self.destination)
@@ -374,7 +375,11 @@ class Tour:
     def _record(self, instance: Instance, outcome: Outcome) -> None:
         extra = {"delivery": self.row.id, "instance": instance.name, "code": outcome.code}
         log.info("instance %s", outcome.verdict, extra=extra)
-        self.deliveries.record(self.row.id, instance.number, outcome, self.destination.limits.attempts)
+        attempts = self.destination.limits.attempts
+        self._outlast(lambda: self.deliveries.record(self.row.id, instance.number, outcome, attempts))
+
+    def _outlast(self, action: Callable[[], Result]) -> Result:
+        return outlast(action, self._stopped.is_set)
 
     def _close(self, peer: Peer) -> None:
         with self._lock:
