@@ -187,7 +187,7 @@ def faults(mesh: TetMesh, spec: CompressionSpec, result: Compression) -> list[st
     weight = (
         np.linalg.norm(spec.gravity.weight()) * six_volumes(mesh.nodes, mesh.tets).sum() / 6 if spec.gravity else 0.0
     )
-    held_by_wall = spec.chest_wall == "fixed"
+    held_by_wall = spec.chest_wall != "free_in_plane"
     if not held_by_wall and abs(upper - lower) > MAX_IMBALANCE * max(upper, lower) + weight:
         found.append(f"plates push with {lower:.3f} and {upper:.3f} N")
     if report["mean_pressure_kPa"] > MAX_PRESSURE_KPA:

@@ -50,6 +50,15 @@ class SimulationSpec(Spec):
             raise ValueError("mesh.kind = 'tetwild' is not reproducible: leave mesh out, or take 'lattice'")
         return self
 
+    @model_validator(mode="after")
+    def _muscle_to_hold(self) -> Self:
+        if self.compression.chest_wall == "fixed_muscle" and self.phantom.kind == "anthropomorphic":
+            raise ValueError(
+                "compression.chest_wall = 'fixed_muscle': a phantom of kind 'anthropomorphic' has no muscle; take "
+                "'free_in_plane' or 'fixed', or an uploaded phantom that has muscle"
+            )
+        return self
+
     @classmethod
     def parse(cls, text: str | bytes) -> Self:
         """From JSON.

@@ -10,9 +10,8 @@ from simcore.core.advice import one_of, where
 from simcore.core.artifacts import Compression, Phantom, TetMesh
 from simcore.core.errors import SolverError
 from simcore.core.progress import Progress, part
-from simcore.fem.contact import Contact
+from simcore.fem.chest_wall import Support
 from simcore.fem.friction import Friction
-from simcore.fem.linear import Guard
 from simcore.fem.model import Model
 from simcore.fem.path import Target, follow
 from simcore.fem.plate_bending import BendingPlate
@@ -35,12 +34,10 @@ def compress_mesh(mesh: TetMesh, phantom: Phantom, spec: CompressionSpec, progre
             f"the mesh has {len(mesh.wall)} chest-wall nodes, some not at x = 0: at least 3 exactly there are needed",
             code="no-chest-wall",
         )
-    solver = solver_of(mesh, phantom, spec)
-    contact = Contact.none(mesh.skin, len(mesh.nodes)).holding(mesh.wall)
-    edge = None
-    if spec.chest_wall == "fixed":
-        contact = contact.without(mesh.wall)
-        edge = PlateEdge.of(mesh.nodes, mesh.wall, spec.plate_edge_mm)
+    support = Support.of(mesh, phantom, spec)
+    solver = solver_of(mesh, phantom, spec, support)
+    contact = support.contact(mesh)
+    edge = support.plate_edge(mesh, spec.plate_edge_mm)
     target = target_of(spec, float(np.ptp(mesh.nodes[:, 2])))
     # Friction depends on the way.
     load_steps = spec.load_steps if solver.friction is None else max(spec.load_steps, FRICTION_LOAD_STEPS)
@@ -59,22 +56,17 @@ def compress_mesh(mesh: TetMesh, phantom: Phantom, spec: CompressionSpec, progre
     )
 
 
-def solver_of(mesh: TetMesh, phantom: Phantom, spec: CompressionSpec) -> Solver:
-    """The equations of ``spec`` on ``mesh``."""
+def solver_of(mesh: TetMesh, phantom: Phantom, spec: CompressionSpec, support: Support | None = None) -> Solver:
+    """The equations of ``spec`` on ``mesh``. support: that of ``spec`` where not given."""
+    support = support or Support.of(mesh, phantom, spec)
     model = Model.of(
         mesh,
         element_laws(mesh, phantom, spec.material),
         skin_tension=0.0 if spec.skin is None else spec.skin.tension(),
         weight=(0.0, 0.0, 0.0) if spec.gravity is None else spec.gravity.weight(),
     )
-    fixed = np.zeros(mesh.nodes.shape, dtype=bool)
-    fixed[mesh.wall, 0] = True
-    guard = Guard.against_roll(mesh.nodes, mesh.wall)
-    if spec.chest_wall == "fixed":
-        fixed[mesh.wall] = True
-        guard = Guard.none()
     friction = Friction(spec.friction) if spec.friction > 0 else None
-    return Solver(model, fixed, guard, spec.tolerance, friction)
+    return Solver(model, support.fixed, support.guard, spec.tolerance, friction)
 
 
 def press_of(spec: CompressionSpec, edge: PlateEdge | None = None) -> Press:

@@ -1,4 +1,4 @@
-"""Plates that rise towards the rim of a fixed chest wall.
+"""Plates that rise towards the rim of what holds the breast: a fixed chest wall, or muscle.
 
 Where flat plates reach a wall that is held altogether, skin at the wall's full height and skin on a plate meet at one
 line. No displacement of finite energy has such a jump on its boundary: the force grows as the logarithm of the element
@@ -12,6 +12,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial import cKDTree
 
 from simcore.fem.contact import Plates
 from simcore.fem.model import Floats
@@ -23,17 +24,22 @@ before it comes to the corner."""
 
 @dataclass(frozen=True, eq=False)
 class PlateEdge:
-    """share: (n,) of the rise that a node has, 0 on the flat part, 1 at the wall. rim: z of the wall's lowest and
-    highest node, mm."""
+    """share: (n,) of the rise that a node has, 0 on the flat part, 1 at the rim. rim: z of the lowest and highest node
+    that is held, mm."""
 
     share: Floats
     rim: tuple[float, float]
 
     @classmethod
-    def of(cls, nodes: Floats, wall: NDArray[np.int64], width: float) -> PlateEdge:
-        """nodes: (n, 3), undeformed. width: distance from the wall at which the plates are flat, mm."""
-        share = np.maximum(1 - nodes[:, 0] / width, 0.0) ** 2
-        return cls(share, (float(nodes[wall, 2].min()), float(nodes[wall, 2].max())))
+    def of(cls, nodes: Floats, held: NDArray[np.int64], width: float) -> PlateEdge:
+        """nodes: (n, 3), undeformed. held: those of the skin that cannot move. width: distance from them, along x where
+        they lie in a plane, at which the plates are flat, mm."""
+        if (nodes[held, 0] == nodes[held[0], 0]).all():
+            distance = nodes[:, 0] - nodes[held[0], 0]
+        else:
+            distance = cKDTree(nodes[held]).query(nodes)[0]
+        share = np.maximum(1 - distance / width, 0.0) ** 2
+        return cls(share, (float(nodes[held, 2].min()), float(nodes[held, 2].max())))
 
     def on(self, plates: Plates) -> Plates:
         """``plates`` with this edge; none as long as they stand outside the rim."""

@@ -77,7 +77,8 @@ def report(mesh: TetMesh, solver: Solver, solution: Solution, plates: Plates) ->
     area = 0.5 * (area_lower + area_upper)
     carried = model.internal_force(state.displacement, state.pressure)
     force = solver.with_friction(state, carried)
-    wall = force[mesh.wall, 0] - state.contact.reaction(carried, plates)[mesh.wall, 0]
+    held = np.flatnonzero(solver.fixed[:, 0])
+    wall = force[held, 0] - state.contact.reaction(carried, plates)[held, 0]
     drift, roll = _guarded(mesh, force)
     return {
         "percent": last.percent,

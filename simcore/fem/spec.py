@@ -110,14 +110,15 @@ class CompressionSpec(Spec):
     )
     spring_paddle: SpringPaddle | None = Field(None, description="an upper plate that turns on a spring")
     elastic_plates: ElasticPlates | None = Field(None, description="plates that bend; rigid ones where not given")
-    chest_wall: Literal["free_in_plane", "fixed"] = Field(
+    chest_wall: Literal["free_in_plane", "fixed", "fixed_muscle"] = Field(
         "free_in_plane",
         description="free_in_plane: held along x, free along y and z, without drift and roll. fixed: held altogether, "
-        "so that the breast stays thicker there than the plates are apart; their edge is plate_edge_mm",
+        "so that the breast stays thicker there than the plates are apart; their edge is plate_edge_mm. fixed_muscle: "
+        "the muscle of the phantom is held altogether, as VICTRE does, and the rest of the wall along x",
     )
     plate_edge_mm: float = quantity(
-        "with a fixed chest wall alone: distance from it, on the undeformed breast, at which the plates become flat; "
-        "nearer they rise as a parabola to clear the wall's rim",
+        "with a fixed chest wall or muscle alone: distance from it, on the undeformed breast, at which the plates "
+        "become flat; nearer they rise as a parabola to clear its rim",
         unit="mm",
         default=40.0,
         ge=1.0,
