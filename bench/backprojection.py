@@ -40,7 +40,7 @@ from simcore.projection.signal import pixel_values
 from simcore.reconstruction import FilteredBackprojection, reconstruct
 from simcore.reconstruction.algebraic import algebraic_correction
 from simcore.reconstruction.backprojection import backproject_quantised, plan_backprojection
-from simcore.reconstruction.grids import volume_grid
+from simcore.reconstruction.extent import volume_grid
 from simcore.reconstruction.iterative import Measurement, subsets_of
 from simcore.reconstruction.operators import backproject, crossings_of, project_slices
 

@@ -13,9 +13,7 @@ from numpy.typing import NDArray
 from pydicom.uid import ExplicitVRLittleEndian, JPEGLSLossless, RLELossless
 
 from simcore.core.errors import ExportError
-
-MAX_BYTES = 2**32 - 2
-"""What the length of an element, and the offsets of encoded frames, can tell."""
+from simcore.dicom.limits import MAX_BYTES
 
 _ITEM = b"\xfe\xff\x00\xe0"
 _SEQUENCE_END = b"\xfe\xff\xdd\xe0" + b"\0" * 4

@@ -25,7 +25,8 @@ from simcore.reconstruction.filters import (
     padded_length,
     ray_weights,
 )
-from simcore.reconstruction.grids import volume_grid, wanted_grid
+from simcore.reconstruction.extent import volume_grid
+from simcore.reconstruction.grids import wanted_grid
 from simcore.reconstruction.kinds.fbp import FilteredBackprojection
 from simcore.reconstruction.lanes import padded_width
 from simcore.reconstruction.line_integrals import line_integrals, lit_columns

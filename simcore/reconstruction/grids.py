@@ -2,38 +2,17 @@
 
 from __future__ import annotations
 
-from math import ceil
-
 import numpy as np
 from numba import njit, prange
 from numpy.typing import NDArray
 
 from simcore.core.artifacts import ProjectionStack
-from simcore.core.errors import GeometryError
-from simcore.core.geometry import AcquisitionGeometry
 from simcore.core.grid import Grid
+from simcore.reconstruction.extent import SHADOW_MARGIN_MM, in_region, within
 from simcore.reconstruction.kinds.common import VolumeSpec
 
 SHADOW_SIGNAL = 0.9
 """Pixels below this part of the open field are in the breast's shadow: grazing rays through the skin lose far more."""
-SHADOW_MARGIN_MM = 2.0
-
-
-def volume_grid(geometry: AcquisitionGeometry, spec: VolumeSpec, thickness_mm: float) -> Grid:
-    """Slices from the breast support upwards over the area of the detector; the last may pass the paddle.
-
-    raises: GeometryError for a thickness that is not positive.
-    """
-    if not thickness_mm > 0:
-        raise GeometryError(f"thickness of the breast is {thickness_mm} mm; it must be above 0 mm")
-    detector = geometry.detector
-    pixel = detector.pixel if spec.pixel_mm is None else spec.pixel_mm
-    # The margin keeps 60 mm / 1 mm at 60 slices where the quotient is rounded upwards.
-    nx = ceil(detector.nx * detector.pixel / pixel - 1e-6)
-    ny = ceil(detector.ny * detector.pixel / pixel - 1e-6)
-    nz = ceil(thickness_mm / spec.slice_mm - 1e-6)
-    corner = (0.0, -ny * pixel / 2, geometry.support_height)
-    return Grid((nz, ny, nx), (pixel, pixel, spec.slice_mm), corner)
 
 
 def wanted_grid(stack: ProjectionStack, spec: VolumeSpec, whole: Grid) -> Grid:
@@ -42,11 +21,7 @@ def wanted_grid(stack: ProjectionStack, spec: VolumeSpec, whole: Grid) -> Grid:
     raises: GeometryError where no voxel is left.
     """
     grid = breast_grid(stack, whole) if spec.field == "breast" else whole
-    if spec.region is not None:
-        low, high = spec.region.lower(), spec.region.upper()
-        lift = np.array([0.0, 0.0, stack.geometry.support_height])
-        grid = _within(grid, low + lift, high + lift)
-    return grid
+    return grid if spec.region is None else in_region(grid, spec.region, stack.geometry.support_height)
 
 
 def breast_grid(stack: ProjectionStack, whole: Grid) -> Grid:
@@ -64,7 +39,7 @@ def breast_grid(stack: ProjectionStack, whole: Grid) -> Grid:
     margin = SHADOW_MARGIN_MM
     if low_y - margin >= high_y + margin:
         return whole
-    return _within(
+    return within(
         whole,
         np.array([-np.inf, low_y - margin, -np.inf]),
         np.array([high_x + margin, high_y + margin, np.inf]),
@@ -117,22 +92,3 @@ def _shadow_ends(view: NDArray[np.uint16], limit: float) -> NDArray[np.int64]:
             end -= 1
         ends[j] = end
     return ends
-
-
-def _within(grid: Grid, low: NDArray[np.float64], high: NDArray[np.float64]) -> Grid:
-    """The voxels of ``grid`` that the box between two corners (x, y, z), mm, touches."""
-    corner, counts = [], []
-    for axis in range(3):
-        spacing, size = grid.spacing[axis], grid.shape[2 - axis]
-        ends = (np.array([low[axis], high[axis]]) - grid.corner[axis]) / spacing
-        # The margin keeps a bound between two voxels from touching both.
-        first = int(np.clip(np.floor(ends[0] + 1e-6), 0, size))
-        stop = int(np.clip(np.ceil(ends[1] - 1e-6), 0, size))
-        if first >= stop:
-            raise GeometryError(
-                f"the region from {low[axis]:g} to {high[axis]:g} mm along {'xyz'[axis]} holds no voxel of the field, "
-                f"which reaches from {grid.corner[axis]:g} to {grid.upper[axis]:g} mm in the detector frame"
-            )
-        corner.append(grid.corner[axis] + first * spacing)
-        counts.append(stop - first)
-    return Grid((counts[2], counts[1], counts[0]), grid.spacing, (corner[0], corner[1], corner[2]))

@@ -22,7 +22,8 @@ from simcore.projection.materials import attenuation_table
 from simcore.projection.plane_prefix import serves
 from simcore.projection.spec import AcquisitionSpec, DetectorPoseSpec, DetectorSpec, PhysicsSpec, SlabSpec, ViewSpec
 from simcore.reconstruction import reconstruct
-from simcore.reconstruction.grids import breast_grid, volume_grid
+from simcore.reconstruction.extent import volume_grid
+from simcore.reconstruction.grids import breast_grid
 from simcore.reconstruction.operators import backproject, project_slices
 from simcore.reconstruction.spec import Backprojection, FilteredBackprojection, Sart
 from simcore.spec import SimulationSpec

@@ -9,7 +9,7 @@ import pytest
 from simcore.core.errors import Cancelled, GeometryError
 from simcore.core.geometry import AcquisitionGeometry
 from simcore.reconstruction import FilteredBackprojection, reconstruct
-from simcore.reconstruction.grids import volume_grid
+from simcore.reconstruction.extent import volume_grid
 
 FINE = FilteredBackprojection(value_slope=1e-6, value_intercept=-0.03)
 

@@ -11,7 +11,8 @@ from simcore.core.errors import Cancelled, GeometryError
 from simcore.core.grid import Grid
 from simcore.reconstruction import FilteredBackprojection, reconstruct
 from simcore.reconstruction.algebraic import algebraic_correction
-from simcore.reconstruction.grids import breast_grid, volume_grid
+from simcore.reconstruction.extent import volume_grid
+from simcore.reconstruction.grids import breast_grid
 from simcore.reconstruction.iterative import Measurement, measure, subsets_of
 from simcore.reconstruction.operators import backproject, crossings_of, project_slices
 from simcore.reconstruction.spec import Backprojection, MaximumLikelihood, RegionSpec, Sart, Sirt
