@@ -26,7 +26,7 @@ Extent = tuple[float, float, float]
 Passes = Callable[[SimulationSpec], bool]
 
 SHADOW_MARGIN = 1.03
-"""The breast's shadow may be so much larger than that of its predicted extent."""
+"""The shadow's edge belongs to no single height of the breast; the prediction takes the middle and this much more."""
 
 _STEP_MM = 0.01
 """Slice spacings are advised in steps of this."""
@@ -120,16 +120,17 @@ def check_objects(spec: SimulationSpec, extent: Extent, affordable: Passes) -> N
         return all(data.fits for data in objects(candidate, extent)) and affordable(candidate)
 
     base, problems = spec, []
-    for data in too_large:
-        if data.field == "acquisition.views":
-            base, remedy = _fewer_views(spec, data)
+    for field in dict.fromkeys(data.field for data in too_large):
+        mine = [data for data in too_large if data.field == field]
+        if field == "acquisition.views":
+            base, remedy = _fewer_views(spec, mine[0])
         else:
-            remedy = _smaller_volume(base, data, extent, passes)
+            remedy = _smaller_volume(base, mine, extent, passes)
+        sizes = " and ".join(f"{data.name} would hold {data.bytes / 1e9:.2f} GB" for data in mine)
         message = (
-            f"{data.name} would hold {data.bytes / 1e9:.2f} GB of pixels, and a DICOM object holds at most "
-            f"{MAX_BYTES / 1e9:.2f} GB in any encoding: {remedy}"
+            f"{sizes} of pixels, and a DICOM object holds at most {MAX_BYTES / 1e9:.2f} GB in any encoding: {remedy}"
         )
-        problems.append({"field": data.field, "value": data.value, "message": message})
+        problems.append({"field": field, "value": mine[0].value, "message": message})
     text = "; ".join(f"{p['field']} = {p['value']:g}: {p['message']}" for p in problems)
     raise ResourceLimitError(text, problems=problems)
 
@@ -145,7 +146,7 @@ def _fewer_views(spec: SimulationSpec, data: PixelData) -> tuple[SimulationSpec,
     return spec.with_(acquisition=a.with_(views=views)), f"at most {views} views"
 
 
-def _smaller_volume(spec: SimulationSpec, data: PixelData, extent: Extent, passes: Passes) -> str:
+def _smaller_volume(spec: SimulationSpec, too_large: list[PixelData], extent: Extent, passes: Passes) -> str:
     """Changes of the reconstruction, or of what is written, with each of which alone the case passes."""
     remedies = []
     slice_mm = _thicker_slices(spec, passes)
@@ -158,7 +159,7 @@ def _smaller_volume(spec: SimulationSpec, data: PixelData, extent: Extent, passe
         breast = spec.with_(reconstruction=spec.reconstruction.with_(field="breast"))
         if passes(breast):
             remedies.append("reconstruction.field = 'breast'")
-    if data.name == "the attenuation map":
+    if any(data.name == "the attenuation map" for data in too_large):
         kept = [name for name in spec.export.extra_objects if name != "attenuation"]
         if passes(spec.with_(export=spec.export.with_(extra_objects=kept))):
             remedies.append("'attenuation' left out of export.extra_objects")
@@ -188,10 +189,12 @@ def _lower_region(spec: SimulationSpec, extent: Extent, passes: Passes) -> float
         # Downwards, so that the bound touches no further slice.
         return float(np.floor((bottom + slices * asked.slice_mm) * 100 + 1e-6) / 100)
 
-    def cut(slices: int) -> SimulationSpec:
-        return spec.with_(reconstruction=asked.with_(region=region.with_(z_max_mm=top(slices))))
+    def cut_passes(slices: int) -> bool:
+        if top(slices) <= (region.z_min_mm or 0.0):
+            return False
+        return passes(spec.with_(reconstruction=asked.with_(region=region.with_(z_max_mm=top(slices)))))
 
-    fewer = _first(1, grid.shape[0] - 1, lambda n: passes(cut(grid.shape[0] - n)))
+    fewer = _first(1, grid.shape[0] - 1, lambda n: cut_passes(grid.shape[0] - n))
     return None if fewer is None else top(grid.shape[0] - fewer)
 
 

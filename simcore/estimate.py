@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import BaseModel, Field
 
+from simcore.capacity import SHADOW_MARGIN, check_objects, predicted_grid
 from simcore.core.errors import GeometryError, ResourceLimitError, SpecError
 from simcore.core.memory import physical_bytes
 from simcore.projection.acquisition import geometry_of
@@ -33,9 +34,6 @@ class Estimate(BaseModel):
 GROWTH_FRACTION = (0.0, 0.2, 0.5, 0.7, 0.75)
 GROWTH_X = (1.0, 1.032, 1.193, 1.47, 1.60)
 GROWTH_Y = (1.0, 1.048, 1.245, 1.53, 1.65)
-
-# The shadow's edge belongs to no single height of the breast; the prediction takes the middle and this much more.
-SHADOW_MARGIN = 1.03
 
 # Reconstructions that need a tube in the plane of the chest wall.
 IN_PLANE = ("fbp", "backprojection")
@@ -83,24 +81,26 @@ def estimate(spec: SimulationSpec) -> Estimate:
     after = cx * cy * cz / spec.phantom.voxel_volume_mm3
     a = spec.acquisition
     pixels = a.detector.pixels_x * a.detector.pixels_y
-    scale = 1.0 if spec.reconstruction.pixel_mm is None else a.detector.pixel_mm / spec.reconstruction.pixel_mm
-    volume = math.ceil(cz / spec.reconstruction.slice_mm) * pixels * scale**2
+    grid = predicted_grid(spec, (cx, cy, cz))
+    volume, plane = grid.size, grid.shape[1] * grid.shape[2]
+    # Iterations need every voxel that the rays of a view meet, whatever region is kept of them.
+    worked = predicted_grid(spec, (cx, cy, cz), whole=True).size if spec.reconstruction.is_kept else volume
     stack = pixels * a.views
     tets = 0.0 if spec.phantom.compressed else 35e3 * (5.5 / spec.mesh.edge_length_mm) ** 3
     mesh_seconds = MESH_SECONDS_PER_TETRAHEDRON[spec.mesh.kind] * tets
     held = spec.phantom.voxels_held
-    memory = BYTES_BASE + held + after + BYTES_PER_TETRAHEDRON * tets + 2 * stack + 2 * volume + max(after, 4 * stack)
+    memory = BYTES_BASE + held + after + BYTES_PER_TETRAHEDRON * tets + 2 * stack + 2 * worked + max(after, 4 * stack)
     rays = spec.physics.rays_per_pixel_edge**2
     memory += 4 * pixels * (rays - 1)
     further = {
         "presentation": 2 * stack,
-        "synthetic-2d": 2 * pixels * scale**2,
+        "synthetic-2d": 2 * plane,
         "ct": 2 * volume,
         "attenuation": 4 * volume,
     }
     output = 4 * stack + 2 * volume + 0.02 * volume + 5e6 + sum(further.get(e, 0) for e in spec.export.extra_objects)
     storage = output + 0.05 * (before + after) + 2 * stack + (2 * volume if spec.reconstruction.is_kept else 0)
-    seconds = 2.0 + (before + 2 * after) / 150e6 + mesh_seconds + stack * 8e-8 + volume * a.views * 1e-9 + output / 3e8
+    seconds = 2.0 + (before + 2 * after) / 150e6 + mesh_seconds + stack * 8e-8 + worked * a.views * 1e-9 + output / 3e8
     seconds += pixels * (rays * _view_seconds(spec, cz) - a.views * SECONDS_PER_RAY["planes"])
     return Estimate(
         voxels=int(before),
@@ -131,8 +131,9 @@ def check(spec: SimulationSpec, memory_limit_bytes: int | None = None) -> Estima
     the field, the needed and the allowed value.
     """
     _check_geometry(spec)
-    needs = estimate(spec)
     limit = physical_bytes() if memory_limit_bytes is None else memory_limit_bytes
+    check_objects(spec, compressed_extent(spec), lambda other: estimate(other).memory_bytes <= limit)
+    needs = estimate(spec)
     if needs.memory_bytes > limit:
         raise ResourceLimitError(
             f"{spec.phantom.size_in_words} and {spec.acquisition.views} views needs "

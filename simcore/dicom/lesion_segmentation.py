@@ -10,8 +10,10 @@ from pydicom.dataset import Dataset
 from pydicom.sequence import Sequence
 from pydicom.uid import SegmentationStorage
 
+from simcore.core.errors import ExportError
 from simcore.dicom.common import Instance, dimensions, functional_groups, item, items
 from simcore.dicom.lesions import Lesion
+from simcore.dicom.limits import MAX_BYTES
 from simcore.dicom.segmentation import derivation, describe, segment
 from simcore.dicom.study import LESIONS, Study, plane_groups
 
@@ -54,6 +56,12 @@ def lesion_segmentation(study: Study) -> Instance:
     dataset.BitsAllocated = dataset.BitsStored = 1
     dataset.HighBit = 0
     dataset.PixelRepresentation = 0
+    size = (len(frames) * grid.shape[1] * grid.shape[2] + 7) // 8
+    if size > MAX_BYTES:
+        raise ExportError(
+            f"the segments of {len(lesions)} lesions hold {size} bytes in {len(frames)} frames; a DICOM element holds "
+            f"at most {MAX_BYTES}: use thicker slices (reconstruction.slice_mm) or a region about fewer lesions"
+        )
     packed = b"".join(_packed(lesion.mask(k, grid.shape[1:]) for _, lesion, k in frames))
     dataset.add_new(0x7FE00010, "OB", packed + b"\0" * (len(packed) % 2))
     return Instance(dataset)

@@ -20,8 +20,8 @@ from simcore.dicom.extras import EXTRAS
 from simcore.dicom.identity import CaseDescription, Identifiers, content_root
 from simcore.dicom.lesion_segmentation import lesion_segmentation
 from simcore.dicom.lesions import find_lesions
-from simcore.dicom.mammography import mammography_image
 from simcore.dicom.limits import MAX_BYTES
+from simcore.dicom.mammography import mammography_image
 from simcore.dicom.resampling import Lookup, nearest, sample
 from simcore.dicom.segmentation import label_map
 from simcore.dicom.spec import ExportSpec

@@ -17,6 +17,7 @@ from simcore.core.grid import Grid
 from simcore.core.progress import Progress, part, silent
 from simcore.reconstruction.backprojection import plan_backprojection
 from simcore.reconstruction.edges import Profile, thickness_profile
+from simcore.reconstruction.extent import volume_grid
 from simcore.reconstruction.filters import (
     angular_steps,
     chord_weights,
@@ -25,7 +26,6 @@ from simcore.reconstruction.filters import (
     padded_length,
     ray_weights,
 )
-from simcore.reconstruction.extent import volume_grid
 from simcore.reconstruction.grids import wanted_grid
 from simcore.reconstruction.kinds.fbp import FilteredBackprojection
 from simcore.reconstruction.lanes import padded_width

@@ -18,8 +18,8 @@ from simcore.core.geometry import AcquisitionGeometry, Detector
 from simcore.core.grid import Grid
 from simcore.core.progress import Progress, part, silent
 from simcore.reconstruction.backprojection import quantise_slices
-from simcore.reconstruction.fbp import check
 from simcore.reconstruction.extent import volume_grid
+from simcore.reconstruction.fbp import check
 from simcore.reconstruction.grids import breast_grid, wanted_grid
 from simcore.reconstruction.kinds.backprojection import Backprojection
 from simcore.reconstruction.kinds.common import IterativeSpec

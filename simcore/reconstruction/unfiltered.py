@@ -12,9 +12,9 @@ from simcore.core.geometry import AcquisitionGeometry
 from simcore.core.grid import Grid
 from simcore.core.progress import Progress, part, silent
 from simcore.reconstruction.backprojection import BackprojectionPlan, plan_backprojection
+from simcore.reconstruction.extent import volume_grid
 from simcore.reconstruction.fbp import check
 from simcore.reconstruction.filters import chord_weights
-from simcore.reconstruction.extent import volume_grid
 from simcore.reconstruction.grids import wanted_grid
 from simcore.reconstruction.kinds.backprojection import Backprojection
 from simcore.reconstruction.line_integrals import line_integrals, lit_columns
