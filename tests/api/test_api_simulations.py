@@ -1,6 +1,7 @@
 """/v1/simulations: the life of a case as a client sees it."""
 
 import json
+import re
 
 import pytest
 
@@ -48,6 +49,15 @@ class TestRefusals:
         assert found["/phantom/voxel_mm"]["value"] == "0.2"
         assert "voxel_mm" in found["/phantom/colour"]["detail"]
         assert client.get("/v1/simulations").json()["items"] == []
+
+    def test_what_dicom_cannot_hold(self, client, is_problem, path):
+        """Known before anything runs, with what passes instead."""
+        body = {"compression": {"percent": 20.0}, "reconstruction": {"slice_mm": 0.1}}
+        problem = is_problem(client.post(path, json=body), 422, "resource-limit")
+        assert problem["errors"][0]["pointer"] == "/reconstruction/slice_mm"
+        slice_mm = float(re.search(r"slice_mm = (\S+) or more", problem["detail"])[1])
+        body["reconstruction"]["slice_mm"] = slice_mm
+        assert client.post(path, json=body).status_code in (200, 202)
 
     @pytest.mark.parametrize(
         "body",
