@@ -52,7 +52,7 @@ class TestRefusals:
 
     def test_what_dicom_cannot_hold(self, client, is_problem, path):
         """Known before anything runs, with what passes instead."""
-        body = {"compression": {"percent": 20.0}, "reconstruction": {"slice_mm": 0.1}}
+        body = {"compression": {"percent": 20.0}, "reconstruction": {"kind": "fbp", "slice_mm": 0.1}}
         problem = is_problem(client.post(path, json=body), 422, "resource-limit")
         assert problem["errors"][0]["pointer"] == "/reconstruction/slice_mm"
         slice_mm = float(re.search(r"slice_mm = (\S+) or more", problem["detail"])[1])
