@@ -68,9 +68,12 @@ def snapped_to_wall(
         spoilt = np.unique(tets[(volumes(moved, tets) < _KEPT_VOLUME * before) & ~flat])
         spoilt = spoilt[wall[spoilt] & (np.abs(nodes[spoilt, 0]) > 1e-3 * tolerance)]
         if not len(spoilt):
-            break
+            return compacted(moved, tets[~flat])
         wall[spoilt] = False
-    return compacted(moved, tets[~flat])
+    raise MeshError(
+        "the mesh cannot be made flat at the chest wall; take a smaller mesh.edge_length_mm or mesh.kind = 'lattice'",
+        code="mesh-no-wall",
+    )
 
 
 def _faces_wall(nodes: NDArray[np.float64], faces: NDArray[np.int64], tolerance: float) -> NDArray[np.bool_]:

@@ -138,8 +138,11 @@ def _inner_surface_depth(
         done = np.max(np.abs(new - t)) < 1e-6 * min(axes)
         t = new
         if done:
-            break
-    return np.where(x_squared > 0, a * np.sqrt(np.maximum(0.0, x_squared)) * (1.0 - t / a**2), 0.0)
+            return np.where(x_squared > 0, a * np.sqrt(np.maximum(0.0, x_squared)) * (1.0 - t / a**2), 0.0)
+    raise PhantomError(
+        f"no surface at a depth of {thickness:g} mm follows the outline; ask for a thinner skin or layer of fat, or a "
+        "larger volume"
+    )
 
 
 def _axes_for_counted_volume(spec: AnthropomorphicPhantom) -> SemiAxes:

@@ -7,11 +7,12 @@ from typing import Annotated, Literal, Self
 
 import numpy as np
 from pydantic import Field, JsonValue, model_validator
+from scipy.special import ndtr, ndtri
 
 from simcore.core.spec_base import Spec
 
 _TRIES = 1000
-"""Draws after which a cut normal distribution takes the nearest bound."""
+"""Draws of a normal distribution after which one of the cut distribution is made from its distribution function."""
 
 
 class Interval(Spec):
@@ -70,7 +71,9 @@ class Normal(Interval):
             value = float(random.normal(self.mean, self.standard_deviation))
             if self.low <= value <= self.high:
                 return value
-        return self.mean
+        low, high = (float(ndtr((bound - self.mean) / self.standard_deviation)) for bound in (self.low, self.high))
+        value = self.mean + self.standard_deviation * float(ndtri(random.uniform(low, high)))
+        return min(max(value, self.low), self.high)
 
 
 class Integer(Spec):
