@@ -45,6 +45,18 @@ def _tells_services_apart(item: pytest.Item) -> bool:
     return not {"backend", "module_backend"}.isdisjoint(getattr(item, "fixturenames", ()))
 
 
+@pytest.fixture
+def threads() -> Iterator[Callable[[int], None]]:
+    """Sets how many threads numba's kernels run on; at the end it is as it was. Skips where one is all there is."""
+    import numba
+
+    if numba.config.NUMBA_NUM_THREADS < 2:
+        pytest.skip("one core: there are no two threads to compare one with")
+    before = numba.get_num_threads()
+    yield numba.set_num_threads
+    numba.set_num_threads(before)
+
+
 @pytest.fixture(scope="session")
 def lose() -> Callable[[Store, str], None]:
     """Takes a file out of a store, with the copy that a machine has of what lies in a bucket."""

@@ -9,7 +9,6 @@ from dataclasses import replace
 from pathlib import Path
 
 import highdicom
-import numba
 import numpy as np
 import pydicom
 import pytest
@@ -112,10 +111,8 @@ def test_window_shows_the_breast(exported: Callable[[SmallCase], Path]) -> None:
     assert 23950 < high <= 24001
 
 
-@pytest.mark.parametrize("threads", [1, 2])
-@pytest.mark.parametrize("columns", [1, 2, 3, 127, 128, 129, 130, 385])
-def test_run_lengths(columns: int, threads: int) -> None:
-    """Rows of noise, of long runs, of pairs and of one value, of all lengths about 128; decoded by pydicom."""
+def rows_of_all_kinds(columns: int) -> Phantom:
+    """Rows of noise, of long runs, of pairs and of one value."""
     random = np.random.default_rng(columns)
     labels = np.zeros((3, 7, columns), np.uint8)
     labels[0, 0] = random.integers(0, 10, columns)
@@ -125,18 +122,28 @@ def test_run_lengths(columns: int, threads: int) -> None:
     labels[0, 4, -1] = 3
     labels[1] = np.sort(random.integers(0, 10, (7, columns)), axis=1)
     labels[2] = random.integers(0, 2, (7, columns))
-    phantom = Phantom(labels, Grid(labels.shape, (1.0, 1.0, 1.0), (0.0, 0.0, 0.0)))
-    before = numba.get_num_threads()
-    numba.set_num_threads(min(threads, before))
-    try:
-        encoded = encode_labels(phantom, nearest(phantom.grid, phantom.grid))
-    finally:
-        numba.set_num_threads(before)
-    for frame, plane in zip(encoded.frames, labels, strict=True):
+    return Phantom(labels, Grid(labels.shape, (1.0, 1.0, 1.0), (0.0, 0.0, 0.0)))
+
+
+@pytest.mark.parametrize("columns", [1, 2, 3, 127, 128, 129, 130, 385])
+def test_run_lengths(columns: int) -> None:
+    """Of all lengths about 128; decoded by pydicom."""
+    phantom = rows_of_all_kinds(columns)
+    encoded = encode_labels(phantom, nearest(phantom.grid, phantom.grid))
+    for frame, plane in zip(encoded.frames, phantom.labels, strict=True):
         assert len(frame) % 2 == 0
         decoded = pydicom.pixels.decoders.rle._rle_decode_frame(frame, 7, columns, 1, 8)
         np.testing.assert_array_equal(np.frombuffer(decoded, np.uint8).reshape(7, columns), plane)
-    assert encoded.tissues == tuple(int(v) for v in np.unique(labels) if v)
+    assert encoded.tissues == tuple(int(v) for v in np.unique(phantom.labels) if v)
+
+
+def test_same_run_lengths_for_any_number_of_threads(threads: Callable[[int], None]) -> None:
+    phantom = rows_of_all_kinds(385)
+    frames = []
+    for count in (1, 2):
+        threads(count)
+        frames.append(list(encode_labels(phantom, nearest(phantom.grid, phantom.grid)).frames))
+    assert frames[0] == frames[1]
 
 
 def test_sample_is_a_subset_of_the_labels() -> None:

@@ -1,8 +1,7 @@
 import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Callable
 
-import numba
 import numpy as np
 import pytest
 from numba import njit
@@ -12,12 +11,6 @@ from simcore.fem.team import LEAVE, begin, finish, tickets, together
 
 PARTS, ROUNDS = 4, 500
 PATIENT = 10**9
-
-
-@pytest.fixture(autouse=True)
-def all_threads_afterwards() -> Iterator[None]:
-    yield
-    numba.set_num_threads(numba.config.NUMBA_NUM_THREADS)
 
 
 @njit(nogil=True)
@@ -41,8 +34,7 @@ def smoothed_alone(values: np.ndarray) -> np.ndarray:
     return values
 
 
-@pytest.mark.skipif(numba.config.NUMBA_NUM_THREADS < 2, reason="one processor")
-def test_no_round_begins_before_the_last_is_finished() -> None:
+def test_no_round_begins_before_the_last_is_finished(threads: Callable[[int], None]) -> None:
     values = np.stack([np.random.default_rng(1).normal(size=4000)] * 2)
     expected, numbers, shares = smoothed_alone(values[0]), tickets(), []
 
@@ -52,7 +44,7 @@ def test_no_round_begins_before_the_last_is_finished() -> None:
         return int(turn)
 
     smooth(tickets(), PATIENT, True, values.copy())
-    numba.set_num_threads(2)
+    threads(2)
     assert together(work, PARTS) == ROUNDS
     assert len(shares) == 2
     assert sum(shares) == PARTS * ROUNDS
@@ -86,15 +78,14 @@ def test_a_long_wait_breaks_the_team_up_and_the_caller_goes_on() -> None:
     assert (values[ROUNDS % 2] == expected).all()
 
 
-def test_what_a_member_raises_is_not_lost() -> None:
+def test_what_a_member_raises_is_not_lost(threads: Callable[[int], None]) -> None:
     def work(callers: bool) -> int:
         if not callers:
             raise ZeroDivisionError
         return 1
 
-    if numba.config.NUMBA_NUM_THREADS > 1:
-        numba.set_num_threads(2)
-        with pytest.raises(ZeroDivisionError):
-            together(work, 2)
-    numba.set_num_threads(1)
+    threads(2)
+    with pytest.raises(ZeroDivisionError):
+        together(work, 2)
+    threads(1)
     assert together(work, 2) == 1

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-import numba
 import numpy as np
 import pytest
 from numpy.typing import NDArray
@@ -167,11 +166,11 @@ def test_mesh_of_a_symmetric_body_is_symmetric() -> None:
     assert np.allclose(rows[0], rows[1], atol=1e-5)
 
 
-def test_same_bytes_for_any_number_of_threads() -> None:
+def test_same_bytes_for_any_number_of_threads(threads: Callable[[int], None]) -> None:
     phantom = phantom_of(SHAPES["bumpy"], 1.0)
     meshes = []
-    for threads in (1, min(2, numba.config.NUMBA_NUM_THREADS), 1):
-        numba.set_num_threads(threads)
+    for count in (1, 2, 1):
+        threads(count)
         meshes.append(build(phantom, LatticeMesh(edge_length_mm=6.0)))
     for mesh in meshes[1:]:
         for name in ("nodes", "tets", "wall", "skin"):

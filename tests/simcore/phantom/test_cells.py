@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import importlib.util
+from collections.abc import Callable
 from pathlib import Path
 
-import numba
 import numpy as np
 import pytest
 from scipy.interpolate import RegularGridInterpolator
@@ -159,19 +159,15 @@ def test_margin_is_the_common_start_that_changes_a_point() -> None:
         np.testing.assert_array_equal((margin > shift)[clear], (expected == Tissue.GLAND)[clear])
 
 
-def test_same_bytes_for_any_number_of_threads() -> None:
+def test_same_bytes_for_any_number_of_threads(threads: Callable[[int], None]) -> None:
     spec, shape, _ = grown(volume_ml=60.0, voxel_mm=0.8)
     results = []
-    for threads in (1, min(2, numba.config.NUMBA_NUM_THREADS)):
-        before = numba.get_num_threads()
-        numba.set_num_threads(threads)
-        try:
-            seeds = plant(spec, shape.axes, layers(spec, shape.axes, 1.0), 0.3, stream(1, "test"))
-            modulation = bumps(shape)
-            cells = settle(spec, shape, modulation, seeds)
-            results.append([label(spec, shape, cells, m).tobytes() for m in (PLAIN, modulation)])
-        finally:
-            numba.set_num_threads(before)
+    for count in (1, 2):
+        threads(count)
+        seeds = plant(spec, shape.axes, layers(spec, shape.axes, 1.0), 0.3, stream(1, "test"))
+        modulation = bumps(shape)
+        cells = settle(spec, shape, modulation, seeds)
+        results.append([label(spec, shape, cells, m).tobytes() for m in (PLAIN, modulation)])
     assert results[0] == results[1]
 
 

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 
-import numba
 import numpy as np
 import pytest
 from pydantic import ValidationError
@@ -62,16 +62,15 @@ def test_slabs_are_the_phantom_byte_for_byte(full: Phantom) -> None:
         next(slabs(FULL, 2, slices=20))
 
 
-def test_same_bytes_for_any_number_of_threads(full: Phantom) -> None:
-    before = numba.get_num_threads()
-    numba.set_num_threads(1)
-    try:
-        alone = generate(FULL, 2)
-    finally:
-        numba.set_num_threads(before)
-    assert alone.labels.tobytes() == full.labels.tobytes()
-    assert alone.truth == full.truth
-    assert alone.report == full.report
+def test_same_bytes_for_any_number_of_threads(threads: Callable[[int], None]) -> None:
+    phantoms = []
+    for count in (1, 2):
+        threads(count)
+        phantoms.append(generate(FULL, 2))
+    one, two = phantoms
+    assert one.labels.tobytes() == two.labels.tobytes()
+    assert one.truth == two.truth
+    assert one.report == two.report
 
 
 def test_additions_leave_the_rest_of_the_breast_as_it_was(plain: Phantom) -> None:

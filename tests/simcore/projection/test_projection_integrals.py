@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import numba
 import numpy as np
 import pytest
 
@@ -261,16 +260,12 @@ def test_tilted_detector_magnifies_as_geometry_says():
         assert np.linalg.norm(offset - (offset @ along) * along) < 0.2
 
 
-def test_same_bytes_for_any_number_of_threads():
+def test_same_bytes_for_any_number_of_threads(threads):
     phantom = phantom_of(random_labels())
-    before = numba.get_num_threads()
-    try:
-        for detector_range, sampling in ((0.0, "exact"), (6.0, "exact"), (0.0, "trilinear")):
-            geometry = geometry_of(acquisition(detector_range_degrees=detector_range))
-            images = []
-            for threads in (1, min(2, numba.config.NUMBA_NUM_THREADS)):
-                numba.set_num_threads(threads)
-                images.append(line_integrals(phantom, geometry, 0, MU, sampling=sampling).tobytes())
-            assert images[0] == images[1]
-    finally:
-        numba.set_num_threads(before)
+    for detector_range, sampling in ((0.0, "exact"), (6.0, "exact"), (0.0, "trilinear")):
+        geometry = geometry_of(acquisition(detector_range_degrees=detector_range))
+        images = []
+        for count in (1, 2):
+            threads(count)
+            images.append(line_integrals(phantom, geometry, 0, MU, sampling=sampling).tobytes())
+        assert images[0] == images[1]

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import numba
 import numpy as np
 import pytest
 
@@ -67,13 +66,9 @@ def test_one_ray_a_pixel_is_the_default_and_many_converge(random_phantom):
     assert errors[2] < 0.5 * errors[1] < 0.3 * errors[0]
 
 
-def test_the_same_bytes_for_any_number_of_threads(random_phantom):
-    before = numba.get_num_threads()
-    try:
-        found = []
-        for threads in (1, min(2, numba.config.NUMBA_NUM_THREADS)):
-            numba.set_num_threads(threads)
-            found.append(project(random_phantom, COARSE, PhysicsSpec(rays_per_pixel_edge=3)).data.tobytes())
-        assert found[0] == found[1]
-    finally:
-        numba.set_num_threads(before)
+def test_the_same_bytes_for_any_number_of_threads(random_phantom, threads):
+    images = []
+    for count in (1, 2):
+        threads(count)
+        images.append(project(random_phantom, COARSE, PhysicsSpec(rays_per_pixel_edge=3)).data.tobytes())
+    assert images[0] == images[1]

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import numba
 import numpy as np
 import pytest
 
@@ -183,14 +182,12 @@ def test_stored_values_follow_slope_and_intercept(make_geometry, acquire):
     assert np.all(cut.data[reference > 0.001] == 65535)
 
 
-def test_any_number_of_threads_gives_the_same_bytes(make_geometry, acquire):
+def test_any_number_of_threads_gives_the_same_bytes(make_geometry, acquire, threads):
     stack = acquire(make_geometry(), [((0.0, 0.0, 32.0), (25.0, 18.0, 9.0), 0.02)])
-    before = numba.get_num_threads()
     volumes = []
-    for threads in (1, min(2, numba.config.NUMBA_NUM_THREADS)):
-        numba.set_num_threads(threads)
+    for count in (1, 2):
+        threads(count)
         volumes.append(reconstruct(stack, FINE, 20.0).data.tobytes())
-    numba.set_num_threads(before)
     assert volumes[0] == volumes[1]
 
 

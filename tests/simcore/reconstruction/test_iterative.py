@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import numba
 import numpy as np
 import pytest
 
@@ -281,15 +280,13 @@ def test_a_turned_detector_gives_the_same_volume(make_geometry, acquire):
     ],
     ids=lambda spec: spec.kind,
 )
-def test_threads_change_no_byte_and_progress_is_told(stack, spec):
-    before = numba.get_num_threads()
+def test_threads_change_no_byte_and_progress_is_told(stack, spec, threads):
     results, told = [], []
-    for threads in (1, min(2, numba.config.NUMBA_NUM_THREADS)):
-        numba.set_num_threads(threads)
+    for count in (1, 2):
+        threads(count)
         told.clear()
         volume = reconstruct(stack, spec, 20.0, lambda fraction, message: told.append(fraction))
         results.append((volume.data.tobytes(), volume.report))
-    numba.set_num_threads(before)
     assert results[0] == results[1]
     assert told == sorted(told)
     assert told[-1] == 1.0

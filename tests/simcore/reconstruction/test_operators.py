@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import numba
 import numpy as np
 import pytest
 
@@ -70,17 +69,15 @@ def test_moving_everything_along_y_and_x_changes_nothing(make_geometry):
     np.testing.assert_allclose(second[:, 4:], first[:, :-4], rtol=1e-4, atol=1e-5)
 
 
-def test_threads_change_no_byte(make_geometry):
+def test_threads_change_no_byte(make_geometry, threads):
     geometry = make_geometry(ny=48, nx=36, views=3)
     grid = GRIDS["inside"]
     x = np.random.default_rng(2).random(grid.shape, np.float32)
-    before = numba.get_num_threads()
     results = []
-    for threads in (1, min(2, numba.config.NUMBA_NUM_THREADS)):
-        numba.set_num_threads(threads)
+    for count in (1, 2):
+        threads(count)
         projected = project_slices(x, grid, geometry)
         results.append((projected.tobytes(), backproject(projected, grid, geometry).tobytes()))
-    numba.set_num_threads(before)
     assert results[0] == results[1]
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import numba
 import numpy as np
 import pytest
 from scipy.spatial import Delaunay
@@ -276,21 +275,17 @@ def test_skin_that_is_not_of_the_mesh_is_refused():
         deform(phantom, strange, compression_of(np.zeros_like(mesh.nodes), (-8.0, 8.0)), WarpSpec())
 
 
-def test_same_bytes_for_any_number_of_threads():
+def test_same_bytes_for_any_number_of_threads(threads):
     """Nodes on voxel centres: many voxels lie on faces that tetrahedra share."""
     mesh = box_mesh(jitter=0.0, cells=(6, 5, 4))
     phantom, _ = box_phantom(voxel=0.8, margin=3)
     stretch = np.array([1.2, 1.1, 0.75])
     compression = compression_of(mesh.nodes * (stretch - 1), (-6.0, 6.0))
-    before = numba.get_num_threads()
-    found = []
-    try:
-        for threads in (1, min(2, numba.config.NUMBA_NUM_THREADS)):
-            numba.set_num_threads(threads)
-            found.append(deform(phantom, mesh, compression, WarpSpec()).labels.tobytes())
-    finally:
-        numba.set_num_threads(before)
-    assert found[0] == found[1]
+    volumes = []
+    for count in (1, 2):
+        threads(count)
+        volumes.append(deform(phantom, mesh, compression, WarpSpec()).labels.tobytes())
+    assert volumes[0] == volumes[1]
 
 
 @pytest.mark.parametrize("width", [3, 8, 21])
