@@ -69,6 +69,19 @@ def test_raw_voxels_come_with_a_header(client: TestClient, is_problem):
     is_problem(client.post(PATH, content=LABELS.tobytes(), headers=BINARY), 422, "invalid-request")
 
 
+def test_a_breast_of_an_unlikely_size_is_to_be_confirmed(client: TestClient, is_problem):
+    small = nrrd().replace(b"spacings: 2 2 2", b"spacings: .2 .2 .2")
+    problem = is_problem(client.post(PATH, content=small, headers=BINARY), 422, "invalid-request")
+    assert problem["reason"] == "upload-unlikely-size"
+    assert problem["errors"][0]["pointer"] == "/spacing_mm"
+    assert "confirm_size = true" in problem["detail"]
+    confirmed = client.post(PATH, params={"reading": '{"confirm_size": true}'}, content=small, headers=BINARY)
+    assert confirmed.status_code == 201, confirmed.text
+    said = client.post(PATH, params={"reading": '{"spacing_mm": [2, 2, 2]}'}, content=small, headers=BINARY)
+    assert said.json()["specification"]["phantom"]["spacing_mm"] == [2.0, 2.0, 2.0]
+    assert "voxels of 2 x 2 x 2 mm as given, not 0.2 x 0.2 x 0.2 as in the file" in said.json()["remarks"]
+
+
 @pytest.mark.parametrize(
     ("content", "said"),
     [

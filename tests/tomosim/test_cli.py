@@ -1,6 +1,7 @@
 """The command line: what it prints, its exit codes, its messages."""
 
 import json
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -105,6 +106,25 @@ def test_a_phantom_of_ones_own_is_added_and_used(tmp_path: Path):
     missing = tomosim("simulate", "case.json", "--out", "out", "--data", "elsewhere", cwd=tmp_path)
     assert missing.returncode == 2
     assert "tomosim phantom add" in missing.stderr
+
+
+def test_axes_and_size_of_a_phantom_are_said_on_the_command_line(tmp_path: Path):
+    z, y, x = np.meshgrid(np.arange(-10, 11), np.arange(-12, 13), np.arange(20), indexing="ij")
+    labels = np.where((x / 18) ** 2 + (y / 11) ** 2 + (z / 9) ** 2 <= 1, 1, 0).astype("u1")
+    labels[(labels == 1) & (x > 2) & (abs(y) < 5)] = 29
+    head = "NRRD0004\ntype: uchar\ndimension: 3\nsizes: 20 25 21\nencoding: raw\nspacings: 0.2 0.2 0.2\n"
+    (tmp_path / "a.nrrd").write_bytes(head.encode() + b"\n" + labels.tobytes())
+    add = ["phantom", "add", "a.nrrd", "--data", "here"]
+    refused = tomosim(*add, cwd=tmp_path)
+    assert refused.returncode == 2
+    assert re.search("the tissue is 0.0.* ml .* a breast has from 20 ml to 5 l.* ml in cm", refused.stderr)
+    for axes in (["--axes", "-z,-y,+x"], ["--axes=-z,-y,+x"]):
+        done = tomosim(*add, *axes, "--confirm-size", cwd=tmp_path)
+        assert done.returncode == 0, done.stderr
+        assert SimulationSpec.parse(done.stdout).phantom.axes == ("-z", "-y", "+x")
+        assert "axes: -z,-y,+x as given, not +z,+y,+x as in the file" in done.stderr
+    right = tomosim(*add, "--spacing-mm", "2,2,2", cwd=tmp_path)
+    assert SimulationSpec.parse(right.stdout).phantom.spacing_mm == (2.0, 2.0, 2.0)
 
 
 @pytest.mark.parametrize("wrong", [["--axes", "+x,+x,+z"], ["--header", "gone.json"], ["--tissue-map", "a.nrrd"]])

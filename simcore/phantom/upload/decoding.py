@@ -176,7 +176,7 @@ def _deflate(file: IO[bytes], window: int) -> Iterator[bytes]:
                 if not unpacker.eof:
                     raise refuse(f"its packed voxels are cut short; {_AGAIN}", "upload-cut-short")
         if len(data) < len(GZIP):
-            data += file.read(PIECE)
+            data += file.read(max(PIECE, len(GZIP)))
         if window != _WINDOW["gzip"] or data[:2] != GZIP:
             return  # padding after the voxels
 
@@ -194,6 +194,6 @@ def _bzip2(file: IO[bytes]) -> Iterator[bytes]:
                 raise refuse(f"its packed voxels are cut short; {_AGAIN}", "upload-cut-short")
         data = unpacker.unused_data
         if len(data) < len(BZIP2):
-            data += file.read(PIECE)
+            data += file.read(max(PIECE, len(BZIP2)))
         if not data.startswith(BZIP2):
             return  # padding after the voxels

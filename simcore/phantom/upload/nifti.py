@@ -146,7 +146,9 @@ def _scaling(fields: _Fields) -> tuple[float, float]:
         return 1.0, 0.0
     if not (math.isfinite(slope) and math.isfinite(intercept)):
         raise refuse(f"NIfTI scl_slope = {slope:g}, scl_inter = {intercept:g}: finite, or 0 for none")
-    return float(slope), float(intercept)
+    if fields.layout.scaling[0] == "2f":  # 0.1 is stored as 0.100000001
+        slope, intercept = (float(str(np.float32(n))) for n in (slope, intercept))
+    return slope, intercept
 
 
 def _spacing(fields: _Fields, kept: list[int]) -> Edges:
