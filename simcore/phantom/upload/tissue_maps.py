@@ -15,6 +15,8 @@ from simcore.core.tissues import Tissue
 LARGEST_VALUE = 65535
 UNKNOWN = 255
 """What stands in a table for a value that is no tissue."""
+PADDLE = 254
+"""What stands in a table for the plates of a compression, which are no tissue: their planes are read."""
 
 VICTRE = {
     0: Tissue.AIR,
@@ -23,7 +25,7 @@ VICTRE = {
     29: Tissue.GLAND,
     33: Tissue.NIPPLE,
     40: Tissue.MUSCLE,
-    50: Tissue.AIR,
+    50: PADDLE,
     88: Tissue.LIGAMENT,
     95: Tissue.TDLU,
     125: Tissue.DUCT,
@@ -32,10 +34,27 @@ VICTRE = {
     225: Tissue.VEIN,
     250: Tissue.CALCIFICATION,
 }
-"""Labels of the VICTRE phantoms. 50 is the compression paddle, which the acquisition brings along by itself."""
+"""Labels of the VICTRE phantoms. 50 are the compression plates."""
 
-BUILT_IN = {"victre": VICTRE, "tomosim": {int(t): t for t in Tissue}}
-NAMES = tuple(t.name.lower() for t in Tissue)
+OPENVCT = {
+    0: Tissue.AIR,
+    1: Tissue.LIGAMENT,
+    2: Tissue.SKIN,
+    3: Tissue.ADIPOSE,
+    4: Tissue.GLAND,
+    5: Tissue.CALCIFICATION,
+}
+"""Indices of OpenVCT's generator (bbarufaldi/OpenVCT_Pipeline: split_criterion_distr_thickness.cl has 3 as fat, 4 as
+gland, 1 between compartments; anatomy/vct_config.xml has the materials). Its mixtures, 6 and above, differ from study
+to study: they are left to a map of one's own."""
+
+BUILT_IN: dict[str, dict[int, int]] = {
+    "victre": {value: int(tissue) for value, tissue in VICTRE.items()},
+    "tomosim": {int(t): int(t) for t in Tissue},
+    "openvct": {value: int(tissue) for value, tissue in OPENVCT.items()},
+}
+TISSUES = {t.name.lower(): int(t) for t in Tissue}
+NAMES = (*TISSUES, "paddle")
 
 
 def _checked(tissues: str | dict[str, str]) -> str | dict[str, str]:
@@ -59,11 +78,17 @@ TissueMap = Annotated[str | dict[str, str], AfterValidator(_checked)]
 
 def table(tissues: TissueMap) -> NDArray[np.uint8]:
     """uint8 (LARGEST_VALUE + 1,): the tissue of every value, UNKNOWN where there is none."""
-    named = BUILT_IN[tissues] if isinstance(tissues, str) else {int(v): Tissue[n.upper()] for v, n in tissues.items()}
+    codes = {**TISSUES, "paddle": PADDLE}
+    named = BUILT_IN[tissues] if isinstance(tissues, str) else {int(v): codes[n] for v, n in tissues.items()}
     result = np.full(LARGEST_VALUE + 1, UNKNOWN, np.uint8)
     for value, tissue in named.items():
         result[value] = tissue
     return result
+
+
+def name_of(code: int) -> str:
+    """What an entry of a table is called."""
+    return "paddle" if code == PADDLE else Tissue(code).name.lower()
 
 
 def refuse_unknown(values: Iterable[int]) -> None:
