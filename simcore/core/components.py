@@ -78,6 +78,11 @@ class Components:
         self._plane += len(mask)
         return numbers
 
+    def skip(self, planes: int) -> None:
+        """A slab of so many planes without a voxel of the mask."""
+        self._edge = None
+        self._plane += planes
+
     def extents(self) -> Extents:
         """What was added so far."""
         from scipy.sparse import csr_matrix

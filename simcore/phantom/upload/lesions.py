@@ -52,6 +52,11 @@ class Lesions:
         for tissue, components in self._components.items():
             components.add(labels == tissue)
 
+    def skip(self, planes: int) -> None:
+        """So many planes without a lesion."""
+        for components in self._components.values():
+            components.skip(planes)
+
     def extents(self) -> dict[Tissue, Extents]:
         """The connected components of each tissue. raises: SpecError where they are too many to be followed"""
         found = {tissue: components.extents() for tissue, components in self._components.items()}

@@ -9,22 +9,22 @@ import numpy as np
 from numpy.typing import NDArray
 
 from simcore.core.artifacts import Compression, Phantom, Report
-from simcore.core.errors import SpecError
 from simcore.core.grid import Grid
 from simcore.core.progress import Progress, silent
 from simcore.core.tissues import MAX_TISSUES, Tissue
-from simcore.phantom.upload import tissue_maps
+from simcore.phantom.upload import lesions, paddle, pieces, tissue_maps, wall
+from simcore.phantom.upload.anatomy import Anatomy
 from simcore.phantom.upload.decoding import blocks, read_header
-from simcore.phantom.upload.header import Edges, Header
+from simcore.phantom.upload.header import Header
+from simcore.phantom.upload.paddle import refused
 from simcore.phantom.upload.spec import Axes, UploadedPhantom
 from simcore.phantom.upload.values import labels_of
 
-LEAST_WALL = 0.2
-"""Least area of the tissue at the chest wall relative to that of the largest plane across x."""
 MARGIN = 1
 """Voxels of air around a phantom that is to be meshed."""
 DENSE = (Tissue.GLAND, Tissue.DUCT, Tissue.TDLU)
 
+Areas = tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]
 Box = tuple[tuple[int, int], tuple[int, int], tuple[int, int]]
 """(first, behind the last) voxel along the axes of an array."""
 
@@ -34,16 +34,18 @@ class Survey:
     """What a file holds, found without keeping its voxels.
 
     values: voxels of every value.
-    areas:  voxels that are not air in every plane across each axis of the array; three arrays, slowest axis first.
+    areas:  voxels of tissue in every plane across each axis of the array; three arrays, slowest axis first.
+    plates: those of compression plates.
     """
 
     header: Header
     values: dict[int, int]
-    areas: tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]
+    areas: Areas
+    plates: Areas
 
     @property
     def box(self) -> Box | None:
-        """(first, behind the last) plane that is not all air, along each axis of the array; None where all is air."""
+        """(first, behind the last) plane with tissue, along each axis of the array; None where there is none."""
         filled = [np.flatnonzero(area) for area in self.areas]
         if not len(filled[0]):
             return None
@@ -52,45 +54,75 @@ class Survey:
 
     @property
     def body_voxels(self) -> int:
-        """Voxels that are not air."""
+        """Voxels of tissue."""
         return int(self.areas[0].sum())
 
-    def extent_mm(self, spacing_mm: Edges, axes: Axes) -> tuple[float, float, float] | None:
-        """Size of what is not air along (x, y, z), mm; None where there is nothing."""
-        if self.box is None:
-            return None
-        planes = (last - first for first, last in self.box)
-        along = {axis[1]: round(n * edge, 6) for axis, n, edge in zip(axes, planes, spacing_mm, strict=True)}
-        return along["x"], along["y"], along["z"]
+    def ends(self, box: Box) -> tuple[wall.Ends, wall.Ends, wall.Ends]:
+        """Of the planes of a box."""
+        a, b, c = (wall.Ends.of(area[first:behind]) for area, (first, behind) in zip(self.areas, box, strict=True))
+        return a, b, c
 
 
-def survey(file: IO[bytes], tissues: tissue_maps.TissueMap, progress: Progress = silent) -> Survey:
-    """Reads a whole file and counts its values.
+def survey(
+    file: IO[bytes], tissues: tissue_maps.TissueMap, progress: Progress = silent, anatomy: Anatomy | None = None
+) -> Survey:
+    """Reads a whole file and counts its values. anatomy: is shown all of it.
 
     raises: SpecError where it cannot be read, or holds a value without a tissue.
     """
     header = read_header(file)
     table = tissue_maps.table(tissues)
     counts = np.zeros(tissue_maps.LARGEST_VALUE + 1, np.int64)
-    areas = tuple(np.zeros(n, np.int64) for n in header.shape)
+    areas, plates_areas = (tuple(np.zeros(n, np.int64) for n in header.shape) for _ in range(2))
     for plane, row, voxels in blocks(file, header):
         n, rows, _ = voxels.shape
         labels = labels_of(voxels, header)
         if not labels.any() and table[0] == Tissue.AIR:  # most of a large volume
             counts[0] += labels.size
+            if anatomy is not None:
+                anatomy.skip(row, n, rows)
         else:
             part = np.bincount(labels.ravel())
             counts[: len(part)] += part
-            body = table[labels] != Tissue.AIR
-            areas[0][plane : plane + n] += np.count_nonzero(body, axis=(1, 2))
-            areas[1][row : row + rows] += np.count_nonzero(body, axis=(0, 2))
-            areas[2][:] += np.count_nonzero(body, axis=(0, 1))
+            codes = table[labels]
+            _count(codes == tissue_maps.PADDLE, plates_areas, plane, row)
+            _count((codes != Tissue.AIR) & (codes != tissue_maps.PADDLE), areas, plane, row)
+            if anatomy is not None:
+                anatomy.add(row, codes)
         progress((plane + n) / header.shape[0], "looking for the tissue")
     present = np.flatnonzero(counts)
     unknown = present[table[present] == tissue_maps.UNKNOWN]
     if len(unknown):
         tissue_maps.refuse_unknown(int(v) for v in unknown)
-    return Survey(header, {int(v): int(counts[v]) for v in present}, areas)  # type: ignore[arg-type]
+    values = {int(v): int(counts[v]) for v in present}
+    return Survey(header, values, areas, plates_areas)  # type: ignore[arg-type]
+
+
+def _count(mask: NDArray[np.bool_], areas: tuple[NDArray[np.int64], ...], plane: int, row: int) -> None:
+    """Adds the voxels of a block of a mask to those of its planes."""
+    if mask.any():
+        n, rows, _ = mask.shape
+        areas[0][plane : plane + n] += np.count_nonzero(mask, axis=(1, 2))
+        areas[1][row : row + rows] += np.count_nonzero(mask, axis=(0, 2))
+        areas[2][:] += np.count_nonzero(mask, axis=(0, 1))
+
+
+def cut_box(found: Survey, axes: Axes, compressed: bool, body: Box | None = None) -> tuple[Box, paddle.Gap | None]:
+    """What is cut out of the array: the tissue, of a compressed breast that between its plates, and these.
+
+    body: of the tissue where not all of it counts.
+    raises: SpecError where there is no tissue, or plates that do not fit
+    """
+    box = body or found.box
+    if box is None:
+        raise refused("tissues", None, "the label volume holds nothing but air")
+    gap = paddle.gap(found.plates, found.areas, axes)
+    if gap is None:
+        return box, None
+    if not compressed:
+        raise paddle.not_compressed()
+    a, b, c = ((gap.first, gap.behind) if axis[1] == "z" else side for axis, side in zip(axes, box, strict=True))
+    return (a, b, c), gap
 
 
 def load(spec: UploadedPhantom, file: IO[bytes], progress: Progress = silent) -> Phantom:
@@ -102,24 +134,35 @@ def load(spec: UploadedPhantom, file: IO[bytes], progress: Progress = silent) ->
     """
     header = read_header(file)
     if header.shape != spec.shape:
-        raise _wrong("shape", list(spec.shape), f"the file has {list(header.shape)} voxels")
+        raise refused("shape", list(spec.shape), f"the file has {list(header.shape)} voxels")
     found = survey(file, spec.tissues, lambda fraction, message: progress(0.45 * fraction, message))
-    if found.box is None:
-        raise _wrong("tissues", None, "the label volume holds nothing but air")
-    _check_wall(found, spec)
-    labels, grid = _compressed(found.box, spec) if spec.compressed else _uncompressed(found.box, spec)
-    margin = 0 if spec.compressed else MARGIN
+    box, gap = cut_box(found, spec.axes, spec.compressed)
+    wall.check(found.ends(box), spec.axes)
+    labels, margin = _room(box, spec)
     inner = labels[margin : len(labels) - margin, margin : labels.shape[1] - margin, : labels.shape[2] - margin]
-    _fill(_native(inner, spec.axes), file, found, spec, progress)
-    report = _report(labels, grid, spec)
+    _fill(_native(inner, spec.axes), file, found, box, spec, progress)
+    dropped = 0
+    if gap is not None:
+        inner[inner == tissue_maps.PADDLE] = Tissue.AIR
+    elif not spec.compressed:
+        dropped = pieces.drop(inner, spec.voxel_volume_mm3)
+    kept = inner[_filled(inner, all_z=gap is not None)]
+    wall.check_kept(np.count_nonzero(kept, axis=(0, 1)), spec.axes)
+    if kept.shape != inner.shape:
+        labels = np.pad(kept, ((margin, margin), (margin, margin), (0, margin)))
+    grid = _compressed_grid(labels, spec, gap) if spec.compressed else _uncompressed_grid(labels, spec)
+    report = _report(labels, grid, spec) | _left_out(labels, found, spec, gap, dropped)
+    truth = lesions.truth(labels, grid)
     progress(1.0, "phantom ready")
-    return Phantom(labels, grid, (), report)
+    return Phantom(labels, grid, truth, report)
 
 
-def _fill(target: NDArray[np.uint8], file: IO[bytes], found: Survey, spec: UploadedPhantom, progress: Progress) -> None:
-    """Writes the tissues of the voxels in ``found.box`` to ``target``, whose axes are those of the array."""
+def _fill(
+    target: NDArray[np.uint8], file: IO[bytes], found: Survey, box: Box, spec: UploadedPhantom, progress: Progress
+) -> None:
+    """Writes the tissues of the voxels in ``box`` to ``target``, whose axes are those of the array."""
     header, table = found.header, tissue_maps.table(spec.tissues)
-    (a0, a1), (b0, b1), (c0, c1) = found.box  # type: ignore[misc]
+    (a0, a1), (b0, b1), (c0, c1) = box
     for plane, row, voxels in blocks(file, header):
         n, rows, _ = voxels.shape
         planes = slice(max(plane, a0), min(plane + n, a1))
@@ -132,10 +175,21 @@ def _fill(target: NDArray[np.uint8], file: IO[bytes], found: Survey, spec: Uploa
         progress(0.45 + 0.5 * (plane + n) / header.shape[0], "reading voxels")
 
 
+def _filled(labels: NDArray[np.uint8], all_z: bool) -> tuple[slice, ...]:
+    """The planes with tissue across (z, y, x). all_z: all of those across z."""
+    sides = []
+    for axis in range(3):
+        planes = np.flatnonzero(labels.any(axis=tuple(a for a in range(3) if a != axis)))
+        if not len(planes):
+            raise refused("tissues", None, "no tissue is left")
+        sides.append(slice(None) if all_z and axis == 0 else slice(int(planes[0]), int(planes[-1]) + 1))
+    return tuple(sides)
+
+
 def plates(spec: UploadedPhantom, phantom: Phantom) -> Compression:
     """See simcore.phantom.plates."""
     height = phantom.grid.upper[2]
-    thickness = height if spec.thickness_mm is None else spec.thickness_mm
+    thickness = height if spec.thickness_mm is None or "plates_mm" in phantom.report else spec.thickness_mm
     report: Report = {"thickness_mm": thickness, "uploaded": True}
     if spec.force_N is not None:
         report["force_N"] = spec.force_N
@@ -153,50 +207,64 @@ def _along(spec: UploadedPhantom, name: str) -> int:
     return next(n for n, axis in enumerate(spec.axes) if axis[1] == name)
 
 
-def _check_wall(found: Survey, spec: UploadedPhantom) -> None:
-    """raises: SpecError where x does not lead from a flat chest wall to the nipple"""
-    n = _along(spec, "x")
-    first, last = found.box[n]  # type: ignore[index]
-    area = found.areas[n][first:last][:: 1 if spec.axes[n][0] == "+" else -1]
-    if area[0] < LEAST_WALL * area.max() or area[0] < area[-1]:
-        raise _wrong(
-            "axes",
-            list(spec.axes),
-            f"the tissue covers {area[0]} voxels of the first plane across x, {area.max()} of the largest and "
-            f"{area[-1]} of the last: the first must be a flat chest wall, the last the nipple; turn an axis "
-            "(+x or -x), or cut the volume where the breast begins",
-        )
-
-
-def _cut_size(box: Box, spec: UploadedPhantom) -> tuple[tuple[int, int, int], tuple[float, float, float]]:
-    """Voxels (nz, ny, nx) of a box along the axes of the array, and voxel edges along (x, y, z)."""
+def _room(box: Box, spec: UploadedPhantom) -> tuple[NDArray[np.uint8], int]:
+    """Air (z, y, x) for what is cut out, and how many voxels of it lie on all sides but the chest wall."""
     nz, ny, nx = (box[_along(spec, name)][1] - box[_along(spec, name)][0] for name in "zyx")
+    margin = 0 if spec.compressed else MARGIN
+    return np.zeros((nz + 2 * margin, ny + 2 * margin, nx + margin), np.uint8), margin
+
+
+def _spacing(spec: UploadedPhantom) -> tuple[float, float, float]:
+    """Voxel edges along (x, y, z), mm."""
     x, y, z = (spec.spacing_mm[_along(spec, name)] for name in "xyz")
-    return (nz, ny, nx), (x, y, z)
+    return x, y, z
 
 
-def _uncompressed(box: Box, spec: UploadedPhantom) -> tuple[NDArray[np.uint8], Grid]:
-    """Room for the tissue with air on all sides but the chest wall; y = 0 and z = 0 in the middle."""
-    (nz, ny, nx), spacing = _cut_size(box, spec)
-    shape = (nz + 2 * MARGIN, ny + 2 * MARGIN, nx + MARGIN)
-    return np.zeros(shape, np.uint8), Grid(
-        shape, spacing, (0.0, -shape[1] * spacing[1] / 2, -shape[0] * spacing[2] / 2)
-    )
+def _uncompressed_grid(labels: NDArray[np.uint8], spec: UploadedPhantom) -> Grid:
+    """y = 0 and z = 0 in the middle."""
+    (nz, ny, _), spacing = labels.shape, _spacing(spec)
+    return Grid(labels.shape, spacing, (0.0, -ny * spacing[1] / 2, -nz * spacing[2] / 2))
 
 
-def _compressed(box: Box, spec: UploadedPhantom) -> tuple[NDArray[np.uint8], Grid]:
-    """Room for the tissue, which stands on z = 0; y = 0 in the middle. raises: SpecError where it is above the plate"""
-    shape, spacing = _cut_size(box, spec)
-    height = shape[0] * spacing[2]
-    if spec.thickness_mm is not None and spec.thickness_mm < height - spacing[2]:
-        raise _wrong("thickness_mm", spec.thickness_mm, f"the tissue is {height:g} mm high; at least that, or none")
-    return np.zeros(shape, np.uint8), Grid(shape, spacing, (0.0, -shape[1] * spacing[1] / 2, 0.0))
+def _compressed_grid(labels: NDArray[np.uint8], spec: UploadedPhantom, gap: paddle.Gap | None) -> Grid:
+    """z = 0 on the lower plate, y = 0 in the middle. raises: SpecError where the tissue is above the upper plate"""
+    spacing, said = _spacing(spec), spec.thickness_mm
+    height, edge = len(labels) * spacing[2], spacing[2]
+    if said is not None and gap is not None and abs(said - height) > 0.5 * edge:
+        message = f"the plates in the file are {height:g} mm apart: leave thickness_mm out, or map the plates to 'air'"
+        raise refused("thickness_mm", said, message)
+    if said is not None and said < height - edge:
+        raise refused("thickness_mm", said, f"the tissue is {height:g} mm high; at least that, or none")
+    return Grid(labels.shape, spacing, (0.0, -labels.shape[1] * spacing[1] / 2, 0.0))
 
 
-def _report(labels: NDArray[np.uint8], grid: Grid, spec: UploadedPhantom) -> Report:
+def _left_out(
+    labels: NDArray[np.uint8], found: Survey, spec: UploadedPhantom, gap: paddle.Gap | None, dropped: int
+) -> Report:
+    """What of the file is not in the phantom, for its report. dropped: pieces."""
+    table, counts = tissue_maps.table(spec.tissues), np.zeros(MAX_TISSUES, np.int64)
+    for value, voxels in found.values.items():
+        if table[value] < MAX_TISSUES:
+            counts[table[value]] += voxels
+    counts -= _census(labels)
+    voxel_ml = spec.voxel_volume_mm3 * 1e-3
+    report: Report = {} if gap is None else {"plates_mm": len(labels) * _spacing(spec)[2]}
+    if dropped:
+        report["dropped_pieces"] = dropped
+    missing = {t.name.lower(): float(counts[t]) * voxel_ml for t in Tissue if t and counts[t] > 0}
+    return report | ({"left_out_ml": missing} if missing else {})
+
+
+def _census(labels: NDArray[np.uint8]) -> NDArray[np.int64]:
+    """Voxels of every tissue."""
     counts = np.zeros(MAX_TISSUES, np.int64)
     for plane in labels:
         counts += np.bincount(plane.ravel(), minlength=MAX_TISSUES)
+    return counts
+
+
+def _report(labels: NDArray[np.uint8], grid: Grid, spec: UploadedPhantom) -> Report:
+    counts = _census(labels)
     voxel_ml = grid.voxel_volume * 1e-3
     inner = int(counts.sum() - counts[Tissue.AIR] - counts[Tissue.SKIN] - counts[Tissue.NIPPLE])
     report: Report = {
@@ -209,12 +277,3 @@ def _report(labels: NDArray[np.uint8], grid: Grid, spec: UploadedPhantom) -> Rep
         "compressed": spec.compressed,
     }
     return report
-
-
-def _wrong(field: str, value: object, message: str) -> SpecError:
-    problem = {"field": f"phantom.{field}", "value": value, "message": message}
-    return SpecError(
-        f"phantom.{field}{'' if value is None else f' = {value}'}: {message}",
-        code="upload-mismatch",
-        problems=[problem],
-    )

@@ -46,7 +46,11 @@ class RawHeader(Spec):
 class Reading(Spec):
     """Everything has a default but for raw voxels, which need ``raw``."""
 
-    tissues: TissueMap = Field("victre", description="tissue of every value, as in a specification")
+    tissues: TissueMap | None = Field(
+        None,
+        description="tissue of every value, as in a specification; by the names of its segments where the file has "
+        "them (3D Slicer), or 'victre'",
+    )
     compressed: bool = Field(False, description="whether the phantom is already compressed along z")
     axes: Axes | None = Field(
         None,
@@ -61,6 +65,9 @@ class Reading(Spec):
     )
     confirm_size: bool = Field(
         False, description="whether a breast below 20 ml or above 5 l is one, and not one with voxels in another unit"
+    )
+    confirm_tissues: bool = Field(
+        False, description="whether the tissues are right, though hardly those of a breast as they are read"
     )
     raw: RawHeader | None = Field(None, description="header of raw voxels (.raw, .raw.gz)")
 

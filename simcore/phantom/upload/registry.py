@@ -18,11 +18,15 @@ from pydantic import ValidationError
 
 from simcore.core.errors import SpecError
 from simcore.core.store import FileRef, Store, canonical
+from simcore.phantom.upload import segments, tissue_maps, wall
+from simcore.phantom.upload.anatomy import Anatomy
 from simcore.phantom.upload.decoding import read_header
 from simcore.phantom.upload.header import Edges, Header, reason, refuse
 from simcore.phantom.upload.joining import join, two_files
 from simcore.phantom.upload.loading import survey
+from simcore.phantom.upload.paddle import not_compressed, refused
 from simcore.phantom.upload.reading import Reading
+from simcore.phantom.upload.review import review
 from simcore.phantom.upload.spec import UploadedPhantom
 
 LEAST_ML, MOST_ML = 20.0, 5000.0
@@ -38,7 +42,10 @@ class Upload:
     """A file in the store.
 
     name: what it was called. values: voxels of every value {value: count}.
-    phantom: the part of a specification that uses it. remarks: what was not read as it stands in the file.
+    phantom: the part of a specification that uses it. remarks: what was not read as it stands in the file, what is
+    odd about it, and what of it is left out. contents: tissue and volume of every value, ``review.Review.contents``.
+    ends: voxels of tissue in the first, largest and last plane across each axis of the array.
+    plates_mm: distance of the plates that are in the file.
     """
 
     sha256: str
@@ -48,6 +55,9 @@ class Upload:
     values: dict[str, int]
     phantom: dict[str, Any]
     remarks: tuple[str, ...] = ()
+    contents: tuple[dict[str, Any], ...] = ()
+    ends: tuple[tuple[int, int, int], ...] = ()
+    plates_mm: float | None = None
     schema: str = field(default=SCHEMA)
 
     @property
@@ -78,7 +88,9 @@ def add_file(store: Store, path: Path, reading: Reading | None = None) -> Upload
             return add_received(store, target, path.name, reading)
         with open(voxels, "rb") as source, open(target, "wb") as file:
             join(header, source, file)
-        return _add(store, target, path.name, reading, header)
+        with open(path, "rb") as file:
+            named = segments.names(file)
+        return _add(store, target, path.name, reading, header, named)
 
 
 def add_received(store: Store, received: Path, name: str, reading: Reading) -> Upload:
@@ -101,7 +113,8 @@ def get(store: Store, sha256: str) -> Upload | None:
     """The note of an upload, or None where there is none or its file is gone."""
     try:
         note = json.loads(store.read_document(FOLDER, f"{sha256}.json") or b"{}")
-        found = Upload(**note | {"remarks": tuple(note.get("remarks", ()))})
+        lists = {name: tuple(note.get(name, ())) for name in ("remarks", "contents")}
+        found = Upload(**note | lists | {"ends": tuple(tuple(e) for e in note.get("ends", ()))})
     except (ValueError, TypeError):
         return None
     return found if store.has(found.ref) else None
@@ -130,33 +143,58 @@ def require(store: Store, spec: UploadedPhantom) -> Upload:
             problems=[{"field": "phantom.sha256", "value": spec.sha256, "message": message}],
         )
     if tuple(upload.phantom["shape"]) != spec.shape:
-        message = f"the file has {upload.phantom['shape']} voxels"
-        raise SpecError(
-            f"phantom.shape = {list(spec.shape)}: {message}",
-            code="upload-mismatch",
-            problems=[{"field": "phantom.shape", "value": None, "message": message}],
-        )
+        raise refused("shape", list(spec.shape), f"the file has {upload.phantom['shape']} voxels")
+    _check_against(upload, spec)
     return upload
 
 
-def _add(store: Store, path: Path, name: str, reading: Reading, original: Header | None) -> Upload:
-    """original: a header that is not in the file any more."""
+def _check_against(upload: Upload, spec: UploadedPhantom) -> None:
+    """raises: SpecError where ``spec`` says of a file what is known to be otherwise since it was added"""
+    noted = upload.spec
+    if spec.tissues != noted.tissues:
+        return  # then nothing is known of its tissue
+    if upload.plates_mm is not None:
+        if not spec.compressed:
+            raise not_compressed()
+        if spec.axes == noted.axes and spec.spacing_mm == noted.spacing_mm and spec.thickness_mm is not None:
+            edge = spec.spacing_mm[next(n for n, axis in enumerate(spec.axes) if axis[1] == "z")]
+            if abs(spec.thickness_mm - upload.plates_mm) > 0.5 * edge:
+                message = f"the plates in the file are {upload.plates_mm:g} mm apart: leave thickness_mm out"
+                raise refused("thickness_mm", spec.thickness_mm, message)
+    if len(upload.ends) == 3 and spec.axes != noted.axes:
+        a, b, c = (wall.Ends(*e) for e in upload.ends)
+        wall.check((a, b, c), spec.axes)
+
+
+def _add(
+    store: Store,
+    path: Path,
+    name: str,
+    reading: Reading,
+    original: Header | None,
+    named: dict[int, str] | None = None,
+) -> Upload:
+    """original: a header that is not in the file any more; named: segments in it."""
     with open(path, "rb") as file:
         header = original or read_header(file)
         spacing, axes = header.placed(reading.spacing_mm, reading.axes)
-        found = survey(file, reading.tissues)
+        tissues, said = _tissues(reading, named or segments.names(file))
+        anatomy = Anatomy(header.shape)
+        found = survey(file, tissues, anatomy=anatomy)
     if found.box is None:
         raise refuse(f"it holds nothing but air by the tissue map: values {', '.join(map(str, found.values))}")
     _check_volume(found.body_voxels, spacing, reading)
+    seen = review(found, anatomy, spacing, axes, tissues, reading.compressed, reading.confirm_tissues)
     try:
         phantom = UploadedPhantom(
             sha256=64 * "0",
             shape=header.shape,
             spacing_mm=spacing,
             axes=axes,
-            tissues=reading.tissues,
+            tissues=tissues,
             compressed=reading.compressed,
-            extent_mm=found.extent_mm(spacing, axes),
+            thickness_mm=seen.thickness_mm,
+            extent_mm=seen.extent_mm,
         )
     except ValidationError as error:
         first = error.errors(include_url=False)[0]
@@ -164,10 +202,32 @@ def _add(store: Store, path: Path, name: str, reading: Reading, original: Header
     ref = store.add(path)
     values = {str(value): count for value, count in found.values.items()}
     part = phantom.with_(sha256=ref.sha256).model_dump(mode="json")
-    remarks = (*header.remarks, *_overridden(header, reading))
-    upload = Upload(ref.sha256, ref.size, name, found.header.format, values, part, remarks)
+    remarks = (*header.remarks, *_overridden(header, reading), *said, *seen.remarks)
+    upload = Upload(
+        ref.sha256,
+        ref.size,
+        name,
+        found.header.format,
+        values,
+        part,
+        remarks,
+        seen.contents,
+        tuple((e.first, e.largest, e.last) for e in found.ends(found.box)) if found.box else (),
+        seen.thickness_mm,
+    )
     store.write_document(FOLDER, f"{upload.sha256}.json", canonical(asdict(upload)))
     return upload
+
+
+def _tissues(reading: Reading, named: dict[int, str]) -> tuple[tissue_maps.TissueMap, tuple[str, ...]]:
+    """The tissue map of a file, and how it came about where nobody said."""
+    if reading.tissues is not None:
+        return reading.tissues, ()
+    if not named:
+        return "victre", ()
+    tissues = segments.tissue_map(named)
+    listed = ", ".join(f"{value} {name!r} = {tissues[str(value)]}" for value, name in sorted(named.items()))
+    return tissues, (f"tissues are taken from the names of the segments: {listed}",)
 
 
 def _overridden(header: Header, reading: Reading) -> Iterator[str]:

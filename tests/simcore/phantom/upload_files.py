@@ -84,7 +84,7 @@ def as_nifti(labels: np.ndarray, spacing: tuple = (0.3, 0.2, 0.1), packed: bool 
 
 def half_breast(dtype: str = "u1", voxel: float = 1.0) -> np.ndarray:
     """VICTRE labels (z, y, x) of a half ellipsoid, semi-axes 24 x 18 x 15 mm, chest wall at the first x with air
-    before it: skin, fat, gland, a lesion, a paddle above."""
+    before it: skin, fat, gland, a lesion."""
     z, y, x = np.meshgrid(np.arange(-17, 18, voxel), np.arange(-20, 21, voxel), np.arange(-3, 27, voxel), indexing="ij")
     radius = np.sqrt((x / 24) ** 2 + (y / 18) ** 2 + (z / 15) ** 2)
     labels = np.zeros(radius.shape, dtype)
@@ -93,5 +93,4 @@ def half_breast(dtype: str = "u1", voxel: float = 1.0) -> np.ndarray:
     labels[radius <= 0.55] = 29
     labels[(x - 8) ** 2 + y**2 + z**2 <= 9] = 200
     labels[x < 0] = 0
-    labels[np.abs(z - 16) < 0.6] = 50
     return labels

@@ -1,0 +1,72 @@
+"""What is looked at while a file is surveyed: pieces, lesions, and what its surface is made of."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from simcore.core.components import Components
+from simcore.core.tissues import MAX_TISSUES, Tissue
+from simcore.phantom.upload.lesions import Lesions
+
+COVER = (Tissue.SKIN, Tissue.NIPPLE)
+
+
+class Anatomy:
+    """Blocks of a file are added in their order, as ``decoding.blocks`` gives them.
+
+    body: connected components of all tissue, by faces. lesions: those of masses and calcifications.
+    surface: voxels of tissue beside one that is none, in a plane across the slowest axis; covered: those of skin.
+    """
+
+    def __init__(self, shape: tuple[int, int, int]) -> None:
+        self.body = Components(centres=False)
+        self.lesions = Lesions()
+        self.surface = self.covered = 0
+        self._shape = shape
+        self._plane: NDArray[np.uint8] | None = None
+
+    def add(self, row: int, codes: NDArray[np.uint8]) -> None:
+        """Entries of a table of tissues (n, rows, columns), from ``row`` on."""
+        rows = codes.shape[1]
+        if rows == self._shape[1]:
+            self._add(codes)
+            return
+        if self._plane is None:
+            self._plane = np.zeros((1, *self._shape[1:]), np.uint8)
+        self._plane[:, row : row + rows] = codes
+        self._finish(row + rows)
+
+    def skip(self, row: int, planes: int, rows: int) -> None:
+        """As ``add`` for a block of air."""
+        if rows < self._shape[1]:
+            self._finish(row + rows)
+            return
+        self.body.skip(planes)
+        self.lesions.skip(planes)
+
+    def _finish(self, behind: int) -> None:
+        if behind < self._shape[1]:
+            return
+        if self._plane is None:
+            self.body.skip(1)
+            self.lesions.skip(1)
+        else:
+            self._add(self._plane)
+        self._plane = None
+
+    def _add(self, codes: NDArray[np.uint8]) -> None:
+        body = (codes != Tissue.AIR) & (codes < MAX_TISSUES)
+        if not body.any():
+            self.body.skip(len(codes))
+            self.lesions.skip(len(codes))
+            return
+        self.body.add(body)
+        self.lesions.add(codes)
+        beside = np.zeros_like(body)
+        for here, there in ((np.s_[:, 1:], np.s_[:, :-1]), (np.s_[:, :, 1:], np.s_[:, :, :-1])):
+            beside[here] |= ~body[there]
+            beside[there] |= ~body[here]
+        beside &= body
+        self.surface += int(np.count_nonzero(beside))
+        self.covered += int(np.count_nonzero(np.isin(codes[beside], COVER)))

@@ -1,0 +1,48 @@
+"""Pieces beside the breast: small ones are dropped and told, large ones refused."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from simcore.core.components import Components, Extents, slabs
+from simcore.core.errors import SpecError
+from simcore.core.tissues import Tissue
+
+WHOLE = 0.99
+"""Least part of the tissue that must hang together: only one body can be compressed."""
+
+
+def check(extents: Extents, voxel_mm3: float) -> None:
+    """raises: SpecError where the largest piece is less than WHOLE of all"""
+    voxels = np.sort(extents.voxels)[::-1]
+    if voxels[0] >= WHOLE * voxels.sum():
+        return
+    ml = ", ".join(f"{v * voxel_mm3 * 1e-3:.3g}" for v in voxels[:5]) + (", ..." if len(voxels) > 5 else "")
+    message = (
+        f"the tissue falls into {len(voxels)} pieces of {ml} ml; only one connected body can be compressed, and what "
+        f"lies beside it may be {1 - WHOLE:.0%} of all: clear the other labels, or map them to 'air'"
+    )
+    raise SpecError(
+        f"phantom.tissues: {message}",
+        code="upload-in-pieces",
+        problems=[{"field": "phantom.tissues", "value": None, "message": message}],
+    )
+
+
+def drop(labels: NDArray[np.uint8], voxel_mm3: float) -> int:
+    """Makes all tissue (z, y, x) but the largest piece air, in place; how many pieces that were.
+
+    raises: SpecError as ``check``
+    """
+    components = Components(centres=False)
+    for _, slab in slabs(labels):
+        components.add(slab != Tissue.AIR)
+    extents = components.extents()
+    check(extents, voxel_mm3)
+    if len(extents) > 1:
+        again = Components(centres=False)
+        for _, slab in slabs(labels):
+            numbers = again.add(slab != Tissue.AIR)
+            slab[extents.of[numbers] != extents.largest] = Tissue.AIR
+    return len(extents) - 1
