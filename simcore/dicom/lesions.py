@@ -7,9 +7,9 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial import cKDTree
 
 from simcore.core.artifacts import Phantom
+from simcore.core.components import Components, Extents, slabs
 from simcore.core.grid import Grid, Point
 from simcore.core.tissues import Tissue
 
@@ -64,24 +64,23 @@ class Lesion:
 def find_lesions(phantom: Phantom, lift: float, volume: Grid) -> tuple[Lesion, ...]:
     """The lesions of a compressed phantom, in the order of its truth.
 
-    Voxels belong to the nearest known object of their tissue. A voxel of the volume counts where its centre lies in
-    the lesion or where it holds the centre of one of the lesion's voxels: a calcification that is smaller than the
-    distance of two slices is not lost.
+    Voxels that touch belong to one lesion, that whose centre lies in or next to them; where there are several such
+    centres, to the nearest as measured by the sizes of their lesions. A voxel of the volume counts where its centre
+    lies in the lesion or where it holds the centre of one of the lesion's voxels: a calcification that is smaller than
+    the distance of two slices is not lost.
 
     lift: height of the support frame in the detector frame, mm.
     """
     grid = phantom.grid.moved(z=lift)
     found = []
     for tissue in TISSUES:
-        voxels = _voxels_of(phantom.labels, tissue)
+        voxels, pieces, extents = _voxels_of(phantom.labels, tissue)
         if not len(voxels):
             continue
-        names, centres = _known(phantom.truth, tissue)
         points = _centres(grid, voxels)
-        if names:
-            owner = np.array(cKDTree(np.add(centres, (0.0, 0.0, lift))).query(points)[1])
-        else:
-            names, owner = [tissue.name.lower()], np.zeros(len(voxels), np.int64)
+        objects = _known(phantom.truth, tissue, lift)
+        names = objects.names or [tissue.name.lower()]
+        owner = _owners(objects, points, pieces, extents) if objects.names else np.zeros(len(voxels), np.int64)
         for name in dict.fromkeys(names):
             mine = np.isin(owner, [k for k, other in enumerate(names) if other == name])
             if mine.any():
@@ -91,24 +90,81 @@ def find_lesions(phantom: Phantom, lift: float, volume: Grid) -> tuple[Lesion, .
     return tuple(found)
 
 
-_NOWHERE = np.empty(0, np.int64)
+@dataclass(frozen=True, eq=False)
+class _Objects:
+    """Known objects of a tissue: name of the lesion of each, centre and size (n, 3) (x, y, z), mm; size 1 where it is
+    not known."""
+
+    names: list[str]
+    centres: NDArray[np.float64]
+    sizes: NDArray[np.float64]
+
+    def nearest(self, points: NDArray[np.float64], among: Indices) -> Indices:
+        """Of the objects ``among`` (m,), that to each of the points (n, 3) by distance relative to its size."""
+        if len(among) == 1:
+            return np.broadcast_to(among, len(points))
+        away = (points[:, None] - self.centres[among]) / self.sizes[among]
+        nearest: Indices = among[np.argmin(np.linalg.norm(away, axis=2), axis=1)]
+        return nearest
 
 
-def _voxels_of(labels: NDArray[np.uint8], tissue: Tissue) -> Indices:
-    """Indices (z, y, x), ordered."""
-    columns = labels.shape[2]
-    found = []
-    for k, plane in enumerate(labels):
+def _voxels_of(labels: NDArray[np.uint8], tissue: Tissue) -> tuple[Indices, Indices, Extents]:
+    """Indices (z, y, x), ordered; the connected component of each; these components."""
+    components = Components(corners=True)
+    found, numbers = [np.empty((0, 3), np.int64)], [np.empty(0, np.int64)]
+    for first, slab in slabs(labels):
         # Most phantoms hold nothing beyond the tissues of every breast, and a maximum is found at the speed of memory.
-        flat = np.flatnonzero(plane == np.uint8(tissue)) if plane.max(initial=0) >= tissue else _NOWHERE
-        found.append(np.stack([np.full(len(flat), k), flat // columns, flat % columns], axis=1))
-    return np.concatenate(found).astype(np.int64)
+        if slab.max(initial=0) < tissue:
+            components.skip(len(slab))
+            continue
+        mask = slab == np.uint8(tissue)
+        of_slab = components.add(mask)
+        found.append(np.argwhere(mask) + np.array([first, 0, 0]))
+        numbers.append(of_slab[mask].astype(np.int64))
+    extents = components.extents()
+    return np.concatenate(found), extents.of[np.concatenate(numbers)], extents
 
 
-def _known(truth: tuple[dict[str, Any], ...], tissue: Tissue) -> tuple[list[str], list[list[float]]]:
-    """Name of its lesion and centre (x, y, z) of every known object of a tissue; clusters by their parts."""
+def _known(truth: tuple[dict[str, Any], ...], tissue: Tissue, lift: float) -> _Objects:
+    """Every known object of a tissue; clusters by their parts."""
     entries = [e for e in truth if e.get("tissue") == tissue.name.lower() and "centre_mm" in e and "parts" not in e]
-    return [str(e.get("part_of", e["id"])) for e in entries], [list(e["centre_mm"]) for e in entries]
+    return _Objects(
+        [str(e.get("part_of", e["id"])) for e in entries],
+        np.array([e["centre_mm"] for e in entries], np.float64).reshape(-1, 3) + np.array([0.0, 0.0, lift]),
+        np.array([e.get("size_mm", (1.0, 1.0, 1.0)) for e in entries], np.float64).reshape(-1, 3),
+    )
+
+
+def _owners(objects: _Objects, points: NDArray[np.float64], pieces: Indices, extents: Extents) -> Indices:
+    """The object to which each voxel belongs. points: centres of the voxels; pieces: the component of each."""
+    members = np.split(np.argsort(pieces, kind="stable"), np.cumsum(extents.voxels)[:-1])
+    everyone = np.arange(len(objects.names))
+    homes = _homes(objects.centres, points, members)
+    owner = np.empty(len(points), np.int64)
+    for piece, mine in enumerate(members):
+        among = np.flatnonzero(homes == piece)
+        if len(among):
+            owner[mine] = objects.nearest(points[mine], among)
+        else:  # it broke off, and goes to whom its middle is nearest
+            owner[mine] = objects.nearest(points[mine].mean(axis=0, keepdims=True), everyone)
+    return owner
+
+
+def _homes(centres: NDArray[np.float64], points: NDArray[np.float64], members: list[Indices]) -> Indices:
+    """For each centre, the component with the voxel nearest to it."""
+    lows = np.array([points[mine].min(axis=0) for mine in members])
+    highs = np.array([points[mine].max(axis=0) for mine in members])
+    homes = np.empty(len(centres), np.int64)
+    for k, centre in enumerate(centres):
+        beside = np.linalg.norm(np.maximum(np.maximum(lows - centre, centre - highs), 0.0), axis=1)
+        best = np.inf
+        for piece in np.argsort(beside, kind="stable"):
+            if beside[piece] >= best:
+                break
+            distance = float(np.min(np.linalg.norm(points[members[piece]] - centre, axis=1)))
+            if distance < best:
+                best, homes[k] = distance, piece
+    return homes
 
 
 def _centres(grid: Grid, voxels: Indices) -> NDArray[np.float64]:

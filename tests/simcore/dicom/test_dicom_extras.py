@@ -14,11 +14,13 @@ import pytest
 from numpy.typing import NDArray
 from pydicom.pixels import pixel_array
 
-from simcore.core.artifacts import Volume
+from simcore.core.artifacts import Phantom, Volume
 from simcore.core.errors import ExportError
+from simcore.core.grid import Grid
 from simcore.dicom.ct import water_per_mm
 from simcore.dicom.display import AIR, display_view, hung, synthetic_view
 from simcore.dicom.extras import EXTRAS
+from simcore.dicom.lesions import find_lesions
 from simcore.dicom.spec import ExportSpec
 from simcore.projection import PhysicsSpec, attenuation_per_mm
 
@@ -305,3 +307,40 @@ def test_attenuation_map_needs_the_coefficients(tmp_path: Path) -> None:
 def test_the_pipeline_tells_the_coefficients_it_projects_with() -> None:
     table = attenuation_per_mm(PhysicsSpec(attenuation="johns-yaffe-20keV"))
     assert table[:3] == (0.0, 0.0456, 0.0802)
+
+
+def voxels_by_name(labels: NDArray[np.uint8], truth: list[dict]) -> dict[str, int]:
+    """Voxels of each lesion of a volume of its own voxels, which must all be of one lesion."""
+    grid = Grid(labels.shape, (1.0, 1.0, 1.0), (0.0, 0.0, 0.0))
+    found = find_lesions(Phantom(labels, grid, truth=tuple(truth)), 0.0, grid)
+    together = np.concatenate([lesion.voxels for lesion in found])
+    assert len(np.unique(together, axis=0)) == len(together) == np.count_nonzero(labels >= 5)
+    return {lesion.name: len(lesion.voxels) for lesion in found}
+
+
+def test_a_small_mass_beside_a_large_one_takes_none_of_its_voxels() -> None:
+    labels = np.zeros((20, 40, 40), np.uint8)
+    labels[2:18, 2:34, 2:18] = 5
+    labels[9:11, 36:38, 9:11] = 5
+    entries = [
+        {"id": "large", "tissue": "mass", "centre_mm": [10.0, 18.0, 10.0], "size_mm": [16.0, 32.0, 16.0]},
+        {"id": "small", "tissue": "mass", "centre_mm": [10.0, 37.0, 10.0], "size_mm": [2.0, 2.0, 2.0]},
+    ]
+    assert voxels_by_name(labels, entries) == {"large": 16 * 32 * 16, "small": 8}
+    touching = labels.copy()
+    touching[9:11, 34:36, 9:11] = 5
+    assert voxels_by_name(touching, entries) == {"large": 16 * 32 * 16 + 8, "small": 8}
+
+
+def test_a_mass_around_its_own_centre_and_one_that_broke_off() -> None:
+    labels = np.zeros((5, 30, 30), np.uint8)
+    labels[2, 2:20, 2:20] = 5
+    labels[2, 5:17, 5:20] = 0  # a C about its centre
+    labels[2, 25:28, 25:28] = 5
+    labels[2, 22, 22] = 5
+    entries = [
+        {"id": "c", "tissue": "mass", "centre_mm": [9.0, 11.0, 2.5], "size_mm": [18.0, 18.0, 1.0]},
+        {"id": "block", "tissue": "mass", "centre_mm": [26.5, 26.5, 2.5], "size_mm": [3.0, 3.0, 1.0]},
+    ]
+    found = voxels_by_name(labels, entries)
+    assert found == {"c": 18 * 18 - 12 * 15 + 1, "block": 9}
