@@ -12,6 +12,16 @@ if TYPE_CHECKING:
     from simcore.phantom.upload import registry
 
 
+class Content(BaseModel):
+    """What voxels of one value are taken for."""
+
+    value: int
+    tissue: str = Field(description="or 'air' or 'paddle', which are none")
+    voxels: int
+    ml: float = Field(description="volume [ml]")
+    share: float | None = Field(description="of the volume of all tissue; null for what is none [1]")
+
+
 class PhantomResource(BaseModel):
     """A label volume in the store."""
 
@@ -22,7 +32,8 @@ class PhantomResource(BaseModel):
     size: int = Field(description="[byte]")
     format: str
     values: dict[str, int] = Field(description="voxels of every value")
-    remarks: list[str] = Field(description="what was not read as it stands in the file, for people")
+    contents: list[Content] = Field(description="tissue and volume of every value")
+    remarks: list[str] = Field(description="what is odd, read otherwise than it stands in the file, cut or left out")
     specification: dict[str, Any] = Field(description="to be posted to /v1/simulations, with whatever else is wanted")
     links: dict[str, str]
 
@@ -45,6 +56,7 @@ def phantom_resource(upload: registry.Upload) -> PhantomResource:
         size=upload.size,
         format=upload.format,
         values=upload.values,
+        contents=[Content(**entry) for entry in upload.contents],
         remarks=list(upload.remarks),
         specification={"phantom": upload.phantom},
         links={"self": phantom_path(upload.sha256), "simulations": f"{PREFIX}/simulations"},

@@ -106,7 +106,13 @@ def _phantom_parser(commands: Any) -> None:
     )
     p.add_argument("file", type=Path, metavar="FILE", help="the label volume")
     p.add_argument(
-        "--tissue-map", metavar="NAME|JSON", help="victre (default), tomosim, or a JSON file {value: tissue}"
+        "--tissue-map",
+        metavar="NAME|FILE|JSON",
+        help=f"{', '.join(BUILT_IN)}, or {{value: tissue}} as a JSON file or as it stands; not given: by the names of "
+        "the segments in the file (3D Slicer), or victre",
+    )
+    p.add_argument(
+        "--confirm-tissues", action="store_true", help="the tissues are right, though hardly those of a breast"
     )
     p.add_argument("--header", type=Path, metavar="JSON", help="header of raw voxels: shape, spacing_mm, dtype, axes")
     p.add_argument("--axes", type=_axes, metavar="A,B,C", help="where the array axes lead, slowest first: +z,+y,+x")
@@ -294,21 +300,33 @@ def _analyse(args: argparse.Namespace) -> None:
 
 def _add_phantom(args: argparse.Namespace) -> None:
     from simcore.core.store import Store
-    from simcore.phantom.upload import registry
+    from simcore.phantom.upload import registry, review
     from simcore.phantom.upload.reading import Reading
 
-    asked: dict[str, Any] = {"compressed": args.compressed, "confirm_size": args.confirm_size}
+    asked: dict[str, Any] = {name: getattr(args, name) for name in ("compressed", "confirm_size", "confirm_tissues")}
     if args.tissue_map is not None:
-        named = args.tissue_map in BUILT_IN
-        asked["tissues"] = args.tissue_map if named else _read_json(Path(args.tissue_map), "tissue map")
+        asked["tissues"] = _tissue_map(args.tissue_map)
     if args.header is not None:
         asked["raw"] = _read_json(args.header, "header")
     asked |= {name: value for name in ("axes", "spacing_mm") if (value := getattr(args, name)) is not None}
     upload = registry.add_file(Store(args.data / "store"), args.file, Reading.parse(json.dumps(asked)))
+    print(review.table(upload.contents), file=sys.stderr)
     for remark in upload.remarks:
         print(f"tomosim: {remark}", file=sys.stderr)
     print(f"tomosim: {upload.sha256}, {upload.size} bytes in the store", file=sys.stderr)
     print(json.dumps({"phantom": upload.phantom}, indent=2))
+
+
+def _tissue_map(text: str) -> Any:
+    """The name of a known map, or one as a JSON file or as JSON."""
+    if text in BUILT_IN:
+        return text
+    if not text.lstrip().startswith("{"):
+        return _read_json(Path(text), f"tissue map (known ones: {', '.join(BUILT_IN)})")
+    try:
+        return json.loads(text)
+    except ValueError as error:
+        raise SpecError(f"the tissue map {text!r} is not JSON: {error}", code="file-not-readable") from error
 
 
 def _list_phantoms(args: argparse.Namespace) -> None:
