@@ -185,7 +185,7 @@ def test_errors_are_typed_and_tell_the_field(client, done: str):
 
 def test_phantoms_go_up_in_a_stream(client, tmp_path: Path):
     raw = tmp_path / "labels.raw"
-    raw.write_bytes(bytes([0, 1, 2, 1] * 2000))
+    raw.write_bytes(bytes([1, 2, 1, 1] * 2000))
     reading = {
         "raw": {"shape": [20, 20, 20], "spacing_mm": [1.0, 1.0, 1.0]},
         "tissues": "tomosim",

@@ -15,12 +15,12 @@ COVER = (Tissue.SKIN, Tissue.NIPPLE)
 class Anatomy:
     """Blocks of a file are added in their order, as ``decoding.blocks`` gives them.
 
-    body: connected components of all tissue, by faces. lesions: those of masses and calcifications.
+    body: connected components of all tissue. lesions: those of masses and calcifications.
     surface: voxels of tissue beside one that is none, in a plane across the slowest axis; covered: those of skin.
     """
 
     def __init__(self, shape: tuple[int, int, int]) -> None:
-        self.body = Components(centres=False)
+        self.body = Components(corners=True, centres=False)
         self.lesions = Lesions()
         self.surface = self.covered = 0
         self._shape = shape

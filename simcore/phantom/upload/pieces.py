@@ -35,13 +35,13 @@ def drop(labels: NDArray[np.uint8], voxel_mm3: float) -> int:
 
     raises: SpecError as ``check``
     """
-    components = Components(centres=False)
+    components = Components(corners=True, centres=False)
     for _, slab in slabs(labels):
         components.add(slab != Tissue.AIR)
     extents = components.extents()
     check(extents, voxel_mm3)
     if len(extents) > 1:
-        again = Components(centres=False)
+        again = Components(corners=True, centres=False)
         for _, slab in slabs(labels):
             numbers = again.add(slab != Tissue.AIR)
             slab[extents.of[numbers] != extents.largest] = Tissue.AIR

@@ -20,7 +20,9 @@ from simcore.phantom.upload.spec import Axes
 LEAST_PLANES = 4
 """Voxels that a breast needs along every axis: the outline of fewer vanishes where it is smoothed for the mesh."""
 COVERED = 0.1
-"""Where there is skin, at least this part of the surface is skin."""
+"""Where there is skin, at least this part of the surface is skin, or at least ..."""
+OUTSIDE = 0.02
+"""... this part of the skin is surface: one in thirty of a skin of 1.5 mm in voxels of 0.05 mm."""
 MOST = {Tissue.SKIN: 0.5, Tissue.MUSCLE: 0.6, Tissue.MASS: 0.3, Tissue.CALCIFICATION: 0.05}
 """Parts of the tissue above which one is odd."""
 
@@ -63,7 +65,9 @@ def review(
         a, b, c = ((int(low), int(high)) for low, high in zip(first, behind, strict=True))
         body = (a, b, c)
         ml = (extents.voxels.sum() - extents.voxels.max()) * voxel_mm3 * 1e-3
-        remarks.append(f"{len(extents) - 1} pieces beside the breast, {ml:.3g} ml in all, are left out")
+        count = len(extents) - 1
+        what = "1 piece" if count == 1 else f"{count} pieces"
+        remarks.append(f"left out: {what} beside the breast, {ml:.3g} ml in all")
     box, gap = cut_box(found, axes, compressed, body)
     wall.check(found.ends(box), axes)
     names = [axis[1] for axis in axes]
@@ -124,7 +128,8 @@ def _doubts(
     strong = []
     if not dense and Tissue.ADIPOSE not in shares:
         strong.append("it has no fat and no gland")
-    if any(tissue in shares for tissue in COVER) and anatomy.covered < COVERED * anatomy.surface:
+    cover = sum(entry["voxels"] for entry in contents if entry["tissue"] in {t.name.lower() for t in COVER})
+    if anatomy.covered < min(COVERED * anatomy.surface, OUTSIDE * cover):
         strong.append(f"only {anatomy.covered / anatomy.surface:.0%} of its surface is skin: its skin lies inside")
     if strong and not confirmed:
         _refuse_tissues(" and ".join(strong), contents)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import itertools
+
 import numpy as np
 import pytest
 from scipy.ndimage import label
@@ -16,7 +18,7 @@ def test_slabs_give_the_components_of_the_whole(corners: bool, share: float, cut
     mask = np.random.default_rng(1).random((17, 13, 11)) < share
     expected, count = label(mask, np.ones((3, 3, 3)) if corners else None)
     components = Components(corners)
-    numbers = np.concatenate([components.add(mask[a:b]) for a, b in zip(cuts, cuts[1:], strict=False)])
+    numbers = np.concatenate([components.add(mask[a:b]) for a, b in itertools.pairwise(cuts)])
     found = components.extents()
     assert len(found) == count
     of = found.of[numbers]
