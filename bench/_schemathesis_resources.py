@@ -62,7 +62,7 @@ def make(http: httpx.Client, dicom_cases: list[str]) -> Values:
     uploaded = http.post(
         "/v1/phantoms",
         params={"reading": json.dumps(reading)},
-        content=bytes([0, 1, 2, 1] * 2000),
+        content=bytes([1, 2, 1, 1] * 2000),
         headers={"Content-Type": "application/octet-stream"},
     )
     found["phantoms"].append(uploaded.raise_for_status().json()["sha256"])
