@@ -126,7 +126,8 @@ def test_uploaded_phantoms_stay(database, store, tmp_path):
     import numpy as np
 
     np.full((4, 4, 4), 5, "u1").tofile(tmp_path / "p.raw")
-    header = '{"raw": {"shape": [4, 4, 4], "spacing_mm": [1, 1, 1]}, "tissues": {"0": "air", "5": "adipose"}, "confirm_size": true}'
+    raw = '{"raw": {"shape": [4, 4, 4], "spacing_mm": [1, 1, 1]}'
+    header = raw + ', "tissues": {"0": "air", "5": "adipose"}, "confirm_size": true}'
     upload = registry.add_file(store, tmp_path / "p.raw", Reading.parse(header))
     assert [u.sha256 for u in registry.uploads(store)] == [upload.sha256]
     done = later(database, store)
