@@ -138,9 +138,33 @@ def check(spec: SimulationSpec, memory_limit_bytes: int | None = None) -> Estima
         raise ResourceLimitError(
             f"{spec.phantom.size_in_words} and {spec.acquisition.views} views needs "
             f"{needs.memory_bytes / 1e9:.1f} GB of memory; "
-            f"{limit / 1e9:.1f} GB are allowed: use larger voxels, fewer views or thicker slices"
+            f"{limit / 1e9:.1f} GB are allowed: use larger voxels{_voxels_that_fit(spec, limit)}, "
+            "fewer views or thicker slices"
         )
     return needs
+
+
+def _voxels_that_fit(spec: SimulationSpec, limit: int) -> str:
+    """In brackets, the voxel edges with which a case needs no more than ``limit`` bytes; "" where none would do."""
+
+    def fits(factor: float) -> bool:
+        return estimate(spec.with_(phantom=spec.phantom.with_coarser_voxels(factor))).memory_bytes <= limit
+
+    low, high = 1.0, spec.phantom.coarsest
+    if high <= 1.0 or not fits(high):
+        return ""
+    while high > 1.005 * low:
+        middle = math.sqrt(low * high)
+        low, high = (low, middle) if fits(middle) else (middle, high)
+    edges = [_rounded_up(edge * high) for edge in spec.phantom.edges_mm]
+    shown = edges[:1] if len(set(edges)) == 1 else edges
+    return f" ({' x '.join(f'{edge:g}' for edge in shown)} mm would do)"
+
+
+def _rounded_up(value: float) -> float:
+    """To two digits."""
+    step: float = 10.0 ** (math.floor(math.log10(value)) - 1)
+    return math.ceil(round(value / step, 6)) * step
 
 
 def _check_geometry(spec: SimulationSpec) -> None:

@@ -10,6 +10,8 @@ from simcore.core.spec_base import Spec, quantity
 from simcore.phantom.lesions import LesionSpec
 from simcore.phantom.upload.spec import UploadedPhantom
 
+MAX_VOXEL_MM = 5.0
+
 
 class OutlineSpec(Spec):
     """Quarters of two ellipsoids behind one another's equator: (x/a)^2 + (y/b)^2 + (z/c)^2 <= 1, x >= 0, with c_upper
@@ -106,7 +108,7 @@ class AnthropomorphicPhantom(Spec):
         ge=0.0,
         le=0.9,
     )
-    voxel_mm: float = quantity("voxel edge", unit="mm", default=0.2, ge=0.05, le=5.0)
+    voxel_mm: float = quantity("voxel edge", unit="mm", default=0.2, ge=0.05, le=MAX_VOXEL_MM)
     skin_mm: float = quantity("skin thickness", unit="mm", default=1.45, ge=0.0, le=5.0)
     outline: OutlineSpec = OutlineSpec()
     compartments: CompartmentSpec = CompartmentSpec()
@@ -141,6 +143,20 @@ class AnthropomorphicPhantom(Spec):
     def compressed(self) -> bool:
         """Whether it is already compressed: never."""
         return False
+
+    @property
+    def edges_mm(self) -> tuple[float, ...]:
+        """Voxel edges, mm."""
+        return (self.voxel_mm,)
+
+    @property
+    def coarsest(self) -> float:
+        """How many times larger its voxels can be."""
+        return MAX_VOXEL_MM / self.voxel_mm
+
+    def with_coarser_voxels(self, factor: float) -> AnthropomorphicPhantom:
+        """The same breast in voxels whose edges are ``factor`` times as long."""
+        return self.with_(voxel_mm=min(self.voxel_mm * factor, MAX_VOXEL_MM))
 
     @property
     def size_in_words(self) -> str:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import Annotated, Literal, Self
 
 from pydantic import AfterValidator, Field, model_validator
@@ -104,6 +105,24 @@ class UploadedPhantom(Spec):
         """Volume of a voxel."""
         a, b, c = self.spacing_mm
         return a * b * c
+
+    @property
+    def edges_mm(self) -> tuple[float, float, float]:
+        """Voxel edges, mm."""
+        return self.spacing_mm
+
+    @property
+    def coarsest(self) -> float:
+        """How many times larger its voxels can be."""
+        return MAX_EDGE_MM / max(self.spacing_mm)
+
+    def with_coarser_voxels(self, factor: float) -> UploadedPhantom:
+        """The same breast in voxels whose edges are ``factor`` times as long, as if the file were resampled."""
+        a, b, c = self.shape
+        return self.with_(
+            shape=(math.ceil(a / factor), math.ceil(b / factor), math.ceil(c / factor)),
+            spacing_mm=tuple(min(edge * factor, MAX_EDGE_MM) for edge in self.spacing_mm),
+        )
 
     @property
     def size_in_words(self) -> str:

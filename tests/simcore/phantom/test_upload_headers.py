@@ -6,15 +6,17 @@ import bz2
 import gzip
 import importlib.util
 import io
+import re
 import time
+import tracemalloc
 import zlib
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from simcore import phantom
-from simcore.core.errors import SpecError
+from simcore import estimate, phantom
+from simcore.core.errors import ResourceLimitError, SpecError
 from simcore.core.store import Store
 from simcore.phantom.upload import decoding, registry
 from simcore.phantom.upload.decoding import blocks, read_header
@@ -23,6 +25,7 @@ from simcore.phantom.upload.joining import join, two_files
 from simcore.phantom.upload.reading import Reading
 from simcore.phantom.upload.spec import UploadedPhantom
 from simcore.phantom.upload.values import labels_of
+from simcore.presets import get
 
 _spec = importlib.util.spec_from_file_location("upload_files", Path(__file__).with_name("upload_files.py"))
 made = importlib.util.module_from_spec(_spec)
@@ -183,6 +186,54 @@ def test_a_volume_beyond_measure_is_refused_at_once_with_the_voxel_size_that_wou
     assert "resample it to voxels of 0.062 x 0.062 x 0.124 mm" in refusal(data)
     assert "resample it to voxels of 0.2 x 0.4 x 0.6 mm" in refusal(made.as_nrrd(RANDOM, more="sizes: 40000 40 20"))
     assert time.perf_counter() - start < 1.0
+
+
+@pytest.mark.parametrize("limit", [1_000_000_000, 4_000_000_000])
+@pytest.mark.parametrize(
+    "part",
+    [
+        UploadedPhantom(sha256=64 * "0", shape=(2164, 2150, 2150), spacing_mm=(0.1, 0.1, 0.1)),
+        UploadedPhantom(sha256=64 * "0", shape=(2164, 2150, 1075), spacing_mm=(0.1, 0.1, 0.2)),
+        get("tiny").phantom.with_(voxel_mm=0.05, volume_ml=2000.0),
+    ],
+)
+def test_too_many_voxels_are_refused_with_a_size_that_then_suffices(limit: int, part: object) -> None:
+    tiny = get("tiny")
+    case = tiny.with_(phantom=part, acquisition=tiny.acquisition.with_(truncation="allow"))
+    with pytest.raises(ResourceLimitError, match=r"use larger voxels \(.* mm would do\)") as caught:
+        estimate.check(case, limit)
+    edges = [float(e) for e in re.search(r"voxels \((.*) mm would", str(caught.value))[1].split(" x ")]
+    factor = edges[0] / part.edges_mm[0]
+    assert estimate.check(case.with_(phantom=part.with_coarser_voxels(factor)), limit).memory_bytes > limit / 2
+
+
+def test_air_around_a_breast_needs_no_memory() -> None:
+    tiny = get("tiny")
+    part = UploadedPhantom(
+        sha256=64 * "0", shape=(2164, 2150, 2150), spacing_mm=(0.1, 0.1, 0.1), extent_mm=(60.0, 90.0, 80.0)
+    )
+    case = tiny.with_(phantom=part, acquisition=tiny.acquisition.with_(truncation="allow"))
+    assert estimate.check(case, 4_000_000_000).memory_bytes < 2e9
+
+
+def test_a_volume_is_never_held_whole(tmp_path: Path) -> None:
+    voxels = np.zeros((400, 500, 500), np.uint8)  # 100 MB
+    voxels[200 : 200 + BREAST.shape[0], 100 : 100 + BREAST.shape[1], 50 : 50 + BREAST.shape[2]] = BREAST
+    (tmp_path / "a.nrrd").write_bytes(made.as_nrrd(voxels, spacing=(2.0, 2.0, 2.0)))
+    shape = voxels.shape
+    del voxels
+    store = Store(tmp_path / "store", min_free_bytes=0)
+    tracemalloc.start()
+    try:
+        upload = registry.add_file(store, tmp_path / "a.nrrd", Reading(compressed=True))
+        with registry.open_file(store, upload.spec) as file:
+            loaded = phantom.load(upload.spec, file)
+        peak = tracemalloc.get_traced_memory()[1]
+    finally:
+        tracemalloc.stop()
+    assert upload.spec.shape == shape
+    assert loaded.labels.size < 50_000
+    assert peak < 30e6
 
 
 def test_a_matrix_of_a_metaimage_that_is_none_is_not_ignored() -> None:
