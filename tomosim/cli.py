@@ -27,7 +27,7 @@ DEFAULT_DATA = Path("data")
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Runs one command; returns its exit code."""
-    args = _parser().parse_args(_with_axes(sys.argv[1:] if arguments is None else arguments))
+    args = _parser().parse_args(arguments)
     try:
         return int(args.run(args) or 0)
     except SimulationError as error:
@@ -44,8 +44,21 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return EXIT_CODES["system"]
 
 
+class _Parser(argparse.ArgumentParser):
+    """Knows ``--axes -z,+y,+x``: argparse takes whatever begins with a minus for an option."""
+
+    def parse_known_args(self, args: Any = None, namespace: Any = None) -> Any:
+        joined: list[str] = []
+        for argument in sys.argv[1:] if args is None else args:
+            if joined[-1:] == ["--axes"] and re.match("-[xyz]", argument):
+                joined[-1] += f"={argument}"
+            else:
+                joined.append(argument)
+        return super().parse_known_args(joined, namespace)
+
+
 def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(
+    parser = _Parser(
         prog="tomosim", description="Simulation of digital breast tomosynthesis, from a specification to DICOM."
     )
     parser.add_argument("--version", action="version", version=f"tomosim {__version__}")
@@ -155,17 +168,6 @@ def _port(text: str) -> int:
     if number > 65535:
         raise argparse.ArgumentTypeError(f"{text!r} is not a port: 1 to 65535")
     return number
-
-
-def _with_axes(arguments: Sequence[str]) -> list[str]:
-    """``--axes -z,+y,+x`` as one argument: argparse takes what begins with a minus for an option."""
-    result: list[str] = []
-    for argument in arguments:
-        if result[-1:] == ["--axes"] and re.match("-[xyz]", argument):
-            result[-1] += f"={argument}"
-        else:
-            result.append(argument)
-    return result
 
 
 def _axes(text: str) -> list[str]:

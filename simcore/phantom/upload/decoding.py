@@ -79,7 +79,7 @@ def blocks(file: IO[bytes], header: Header) -> Iterator[tuple[int, int, NDArray[
         size = n * rows * row_bytes
         while len(pending) < size:
             pending += next(pieces)
-        yield plane, row, np.frombuffer(bytes(pending[:size]), header.dtype).reshape(n, rows, columns)
+        yield plane, row, np.frombuffer(bytes(memoryview(pending)[:size]), header.dtype).reshape(n, rows, columns)
         del pending[:size]
     for _ in pieces:  # says where there are too many
         pass

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import zipfile
+from io import SEEK_END
 from typing import IO
 
 _READ = "it is no NRRD, MetaImage or NIfTI file"
@@ -32,6 +33,8 @@ _MAGIC = (
 )
 _ZIP = b"PK\x03\x04"
 _MOST_NAMES = 10
+_MOST = 1 << 20
+_END_BYTES = (1 << 16) + 64
 
 
 def explain(head: bytes, file: IO[bytes], whole_gzip: bool) -> str:
@@ -49,6 +52,8 @@ def explain(head: bytes, file: IO[bytes], whole_gzip: bool) -> str:
 
 
 def _zip(file: IO[bytes]) -> str:
+    if not _has_short_directory(file):
+        return "unpack it and add the label volume that is in it"
     try:
         with zipfile.ZipFile(file) as archive:
             names = archive.namelist()
@@ -64,4 +69,17 @@ def _zip(file: IO[bytes]) -> str:
         f"it holds {shown}, as OpenVCT's phantoms do. Unpack it (unzip FILE.zip), write shape and voxel size{about} "
         f'into header.json, {{"shape": [slices, rows, columns], "spacing_mm": [1, 1, 1]}}, and add the voxels: tomosim '
         f"phantom add {data[:80]} --header header.json --tissue-map MAP, with the tissue of each of their values"
+    )
+
+
+def _has_short_directory(file: IO[bytes]) -> bool:
+    """Whether the list of names at the end of a zip archive is short enough to be read whole."""
+    size = file.seek(0, SEEK_END)
+    file.seek(max(0, size - _END_BYTES))
+    tail = file.read(_END_BYTES)
+    at = tail.rfind(b"PK\5\6")
+    return (
+        0 <= at <= len(tail) - 22
+        and b"PK\6\7" not in tail
+        and int.from_bytes(tail[at + 12 : at + 16], "little") < _MOST
     )

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
 from typing import Any, Literal, TypeVar
 
@@ -20,6 +20,8 @@ MAX_VOXELS = 2**34
 HEAD_BYTES = 65536
 """First bytes of a file, which hold most headers."""
 MAX_HEADER_BYTES = 2**24
+MAX_FIELD = 4096
+"""Characters of a field that is read; comments may be longer."""
 
 _T = TypeVar("_T")
 
@@ -138,6 +140,13 @@ def checked_spacing(edges: list[float], name: str) -> Edges:
         guess = f" (are they in {' or '.join(units)}?)" if units else ""
         raise refuse(f"{shown}; from {MIN_EDGE_MM:g} to {MAX_EDGE_MM:g} mm{guess}: {remedy}, or resample the volume")
     return round(c, 9), round(b, 9), round(a, 9)
+
+
+def check_fields(found: dict[str, str], names: Iterable[str]) -> None:
+    """raises: SpecError where one of the fields is longer than MAX_FIELD"""
+    for name in names:
+        if len(found.get(name, "")) > MAX_FIELD:
+            raise refuse(f"its field {name!r} has {len(found[name])} characters; at most {MAX_FIELD}")
 
 
 def number(text: str, name: str) -> float:

@@ -12,7 +12,7 @@ from typing import IO
 from simcore.core.errors import SpecError
 from simcore.phantom.upload import metaimage, nrrd
 from simcore.phantom.upload.decoding import PIECE, begins_with_gzip, seek_voxels
-from simcore.phantom.upload.header import HEAD_BYTES, MAX_HEADER_BYTES, Header, refuse
+from simcore.phantom.upload.header import HEAD_BYTES, MAX_FIELD, MAX_HEADER_BYTES, Header, refuse
 
 _LIST = re.compile(r"LIST(\s+\d+[dD]?)?")
 _PATTERN = re.compile(r".*%\d*d.*\s-?\d+\s+-?\d+\s+-?\d+(\s+\d+)?")
@@ -56,6 +56,8 @@ def _head(path: Path) -> bytes:
 def _beside(path: Path, name: str) -> Path:
     """The file of the voxels: as the header calls it below its folder, else beside it, whatever folder it names, in
     other case, or packed. raises: SpecError where there is none, or a list of them is named"""
+    if len(name) > MAX_FIELD:
+        raise refuse(f"{path.name} names a file of {len(name)} characters as that of its voxels")
     base = PureWindowsPath(name).name  # knows both separators
     if ".." not in Path(name).parts and not Path(name).is_absolute():
         with contextlib.suppress(OSError):  # a name that is too long

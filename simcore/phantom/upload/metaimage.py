@@ -12,6 +12,7 @@ from simcore.phantom.upload.header import (
     Edges,
     Header,
     attempt,
+    check_fields,
     checked_shape,
     checked_spacing,
     number,
@@ -38,7 +39,11 @@ TYPES = {
 """Names of every type, the one that is written first. MetaIO's long has four bytes."""
 _DTYPES = {name: dtype for dtype, names in TYPES.items() for name in names}
 LAST_TAG = "elementdatafile"
-_LAST = re.compile(rb"(?im)^\s*ElementDataFile\s*=.*\n")
+_READ = (
+    *("ndims", "dimsize", "elementtype", "elementspacing", "elementsize", "transformmatrix", "orientation", "rotation"),
+    *("headersize", "distanceunits", "elementnumberofchannels", LAST_TAG),
+)
+_LAST = re.compile(rb"(?im)^[ \t]*ElementDataFile[ \t]*=.*\n")
 _FIRST = re.compile(
     rb"(?i)\s*(ObjectType|ObjectSubType|NDims|Comment|Name|ID|DimSize|BinaryData|BinaryDataByteOrderMSB|CompressedData"
     rb"|ElementType|ElementSpacing|TransformMatrix|Offset|AnatomicalOrientation|DistanceUnits)\s*="
@@ -91,6 +96,7 @@ def parse(head: bytes) -> Header:
 
 def header_of(found: dict[str, str], offset: int) -> Header:
     """The header that tags describe. raises: SpecError"""
+    check_fields(found, _READ)
     if found.get("elementnumberofchannels", "1") != "1":
         raise refuse(
             f"MetaImage ElementNumberOfChannels = {found['elementnumberofchannels']}: 1; one label a voxel is needed, "

@@ -15,6 +15,7 @@ from simcore.phantom.upload.header import (
     Encoding,
     Header,
     attempt,
+    check_fields,
     checked_shape,
     checked_spacing,
     number,
@@ -28,6 +29,9 @@ from simcore.phantom.upload.units import mm_per
 
 MAGIC = b"NRRD000"
 DATA_FILE = ("data file", "datafile")
+MAX_SKIPPED_LINES = 10_000
+MAX_SKIPPED_BYTES = 2**24
+"""Where they have to be unpacked."""
 
 TYPES = {
     "i1": ("int8", "signed char", "int8_t"),
@@ -44,6 +48,10 @@ TYPES = {
 """Names of every type, the one that is written first."""
 _DTYPES = {name: dtype for dtype, names in TYPES.items() for name in names}
 _ENCODINGS: dict[str, Encoding] = {"raw": "raw", "gzip": "gzip", "gz": "gzip", "bzip2": "bzip2", "bz2": "bzip2"}
+_READ = (
+    *("type", "dimension", "sizes", "encoding", "endian", "space", "space directions", "space units", "spacings"),
+    *("units", "line skip", "lineskip", "byte skip", "byteskip"),
+)
 _FRAMES = {
     "left-posterior-superior": "LPS",
     "lps": "LPS",
@@ -96,6 +104,7 @@ def parse(head: bytes) -> Header:
 
 def header_of(found: dict[str, str], offset: int) -> Header:
     """The header that fields describe. raises: SpecError"""
+    check_fields(found, _READ)
     encoding = _field(found, "encoding").lower()
     if encoding not in _ENCODINGS:
         raise refuse(f"NRRD encoding = {encoding!r}: save it as raw, gzip or bzip2")
@@ -116,8 +125,8 @@ def header_of(found: dict[str, str], offset: int) -> Header:
         _dtype(found),
         _ENCODINGS[encoding],
         offset,
-        lines=_skip(found, "line skip", least=0),
-        skip=_skip(found, "byte skip", least=-1 if encoding == "raw" else 0),
+        lines=_skip(found, "line skip", 0, MAX_SKIPPED_LINES),
+        skip=_skip(found, "byte skip", *((-1, 2**62) if encoding == "raw" else (0, MAX_SKIPPED_BYTES))),
         problems=problems,
         remarks=axes[1] if axes else (),
     )
@@ -136,11 +145,11 @@ def _dtype(found: dict[str, str]) -> np.dtype[np.generic]:
     return dtype
 
 
-def _skip(found: dict[str, str], name: str, least: int) -> int:
+def _skip(found: dict[str, str], name: str, least: int, most: int) -> int:
     value = whole_number(found.get(name, found.get(name.replace(" ", ""), "0")), f"NRRD {name}")
-    if value < least:
+    if not least <= value <= most:
         only = "" if least < 0 or name == "line skip" else " (-1, the end of the file, only where encoding is raw)"
-        raise refuse(f"NRRD {name} = {value}: at least {least}{only}")
+        raise refuse(f"NRRD {name} = {value}: from {least} to {most}{only}")
     return value
 
 

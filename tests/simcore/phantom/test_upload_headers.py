@@ -291,6 +291,18 @@ def test_an_unlikely_size_is_to_be_confirmed(tmp_path: Path, spacing: tuple[floa
     assert registry.add_file(store, tmp_path / "a.nrrd", Reading(confirm_size=True)).spec.spacing_mm == spacing
 
 
+def test_headers_that_would_take_for_ever_are_refused_at_once() -> None:
+    start = time.perf_counter()
+    long = 800_000 * "( "
+    assert "'space directions' has" in refusal(made.as_nrrd(RANDOM, more=f"space: LPS\nspace directions: {long}"))
+    assert "'transformmatrix' has" in refusal(made.as_metaimage(RANDOM, more=f"TransformMatrix = {long}"))
+    assert "no ElementDataFile" in refusal(b"NDims = 3\n" + 400_000 * b"\n \n")
+    assert "line skip = 1000000000: from 0 to 10000" in refusal(made.as_nrrd(RANDOM, more="line skip: 1000000000"))
+    assert "byte skip = 1000000000000: from 0 to" in refusal(made.as_nrrd(RANDOM, more="byte skip: 1000000000000"))
+    assert "a zip archive: unpack it" in refusal(b"PK\x03\x04" + 100 * b"x" + b"PK\5\6" + 8 * b"\0" + 10 * b"\xff")
+    assert time.perf_counter() - start < 10.0
+
+
 def test_what_is_said_replaces_what_the_file_says_and_is_remarked(tmp_path: Path) -> None:
     store = Store(tmp_path / "store", min_free_bytes=0)
     (tmp_path / "a.nrrd").write_bytes(made.as_nrrd(BREAST, spacing=(1.0, 1.0, 1.0)))
