@@ -17,13 +17,14 @@ class Anatomy:
 
     body: connected components of all tissue. lesions: those of masses and calcifications.
     surface: voxels of tissue beside one that is none, in a plane across the slowest axis; covered: those of skin.
+    body_only: nothing but ``body`` is asked for.
     """
 
-    def __init__(self, shape: tuple[int, int, int]) -> None:
+    def __init__(self, shape: tuple[int, int, int], body_only: bool = False) -> None:
         self.body = Components(corners=True, centres=False)
         self.lesions = Lesions()
         self.surface = self.covered = 0
-        self._shape = shape
+        self._shape, self._body_only = shape, body_only
         self._plane: NDArray[np.uint8] | None = None
 
     def add(self, row: int, codes: NDArray[np.uint8]) -> None:
@@ -62,6 +63,8 @@ class Anatomy:
             self.lesions.skip(len(codes))
             return
         self.body.add(body)
+        if self._body_only:
+            return
         self.lesions.add(codes)
         beside = np.zeros_like(body)
         for here, there in ((np.s_[:, 1:], np.s_[:, :-1]), (np.s_[:, :, 1:], np.s_[:, :, :-1])):

@@ -68,7 +68,7 @@ def _zip(file: IO[bytes]) -> str:
     return (
         f"it holds {shown}, as OpenVCT's phantoms do. Unpack it (unzip FILE.zip), write shape and voxel size{about} "
         f'into header.json, {{"shape": [slices, rows, columns], "spacing_mm": [1, 1, 1]}}, and add the voxels: tomosim '
-        f"phantom add {data[:80]} --header header.json --tissue-map MAP, with the tissue of each of their values"
+        f"phantom add {data[:80]} --header header.json --tissue-map openvct, or a map with the tissue of each value"
     )
 
 

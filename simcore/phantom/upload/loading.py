@@ -17,6 +17,7 @@ from simcore.phantom.upload.anatomy import Anatomy
 from simcore.phantom.upload.decoding import blocks, read_header
 from simcore.phantom.upload.header import Header
 from simcore.phantom.upload.paddle import refused
+from simcore.phantom.upload.pieces import Box
 from simcore.phantom.upload.spec import Axes, UploadedPhantom
 from simcore.phantom.upload.values import labels_of
 
@@ -25,8 +26,6 @@ MARGIN = 1
 DENSE = (Tissue.GLAND, Tissue.DUCT, Tissue.TDLU)
 
 Areas = tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]
-Box = tuple[tuple[int, int], tuple[int, int], tuple[int, int]]
-"""(first, behind the last) voxel along the axes of an array."""
 
 
 @dataclass(frozen=True)
@@ -135,8 +134,12 @@ def load(spec: UploadedPhantom, file: IO[bytes], progress: Progress = silent) ->
     header = read_header(file)
     if header.shape != spec.shape:
         raise refused("shape", list(spec.shape), f"the file has {list(header.shape)} voxels")
-    found = survey(file, spec.tissues, lambda fraction, message: progress(0.45 * fraction, message))
-    box, gap = cut_box(found, spec.axes, spec.compressed)
+    anatomy = None if spec.compressed else Anatomy(header.shape, body_only=True)
+    found = survey(file, spec.tissues, lambda fraction, message: progress(0.45 * fraction, message), anatomy)
+    extents = anatomy.body.extents() if anatomy else None
+    body = pieces.body_box(extents, spec.voxel_volume_mm3) if extents else None
+    box, gap = cut_box(found, spec.axes, spec.compressed, body)
+    _check_extent(box, spec)
     wall.check(found.ends(box), spec.axes)
     labels, margin = _room(box, spec)
     inner = labels[margin : len(labels) - margin, margin : labels.shape[1] - margin, : labels.shape[2] - margin]
@@ -144,8 +147,9 @@ def load(spec: UploadedPhantom, file: IO[bytes], progress: Progress = silent) ->
     dropped = 0
     if gap is not None:
         inner[inner == tissue_maps.PADDLE] = Tissue.AIR
-    elif not spec.compressed:
-        dropped = pieces.drop(inner, spec.voxel_volume_mm3)
+    elif body is not None and extents is not None:
+        pieces.drop(inner, spec.voxel_volume_mm3)
+        dropped = len(extents) - 1
     kept = inner[_filled(inner, all_z=gap is not None)]
     wall.check_kept(np.count_nonzero(kept, axis=(0, 1)), spec.axes)
     if kept.shape != inner.shape:
@@ -155,6 +159,18 @@ def load(spec: UploadedPhantom, file: IO[bytes], progress: Progress = silent) ->
     truth = lesions.truth(labels, grid)
     progress(1.0, "phantom ready")
     return Phantom(labels, grid, truth, report)
+
+
+def _check_extent(box: Box, spec: UploadedPhantom) -> None:
+    """raises: SpecError where there is more tissue than the specification says, by which its needs are predicted"""
+    if spec.extent_mm is None:
+        return
+    sides = [box[_along(spec, name)] for name in "xyz"]
+    edges = [spec.spacing_mm[_along(spec, name)] for name in "xyz"]
+    size = [round((last - first) * edge, 6) for (first, last), edge in zip(sides, edges, strict=True)]
+    if any(real > said + 0.5 * edge for real, said, edge in zip(size, spec.extent_mm, edges, strict=True)):
+        shown = " x ".join(f"{s:g}" for s in size)
+        raise refused("extent_mm", list(spec.extent_mm), f"the tissue is {shown} mm; that, or none (null)")
 
 
 def _fill(

@@ -9,6 +9,8 @@ from simcore.core.components import Components, Extents, slabs
 from simcore.core.errors import SpecError
 from simcore.core.tissues import Tissue
 
+Box = tuple[tuple[int, int], tuple[int, int], tuple[int, int]]
+"""(first, behind the last) voxel along the axes of an array."""
 WHOLE = 0.99
 """Least part of the tissue that must hang together: only one body can be compressed."""
 
@@ -28,6 +30,19 @@ def check(extents: Extents, voxel_mm3: float) -> None:
         code="upload-in-pieces",
         problems=[{"field": "phantom.tissues", "value": None, "message": message}],
     )
+
+
+def body_box(extents: Extents, voxel_mm3: float) -> Box | None:
+    """Box of the largest piece of several, along the axes of the array; None where there is but one.
+
+    raises: SpecError as ``check``
+    """
+    if len(extents) < 2:
+        return None
+    check(extents, voxel_mm3)
+    first, behind = extents.first[extents.largest], extents.behind[extents.largest]
+    a, b, c = ((int(low), int(high)) for low, high in zip(first, behind, strict=True))
+    return a, b, c
 
 
 def drop(labels: NDArray[np.uint8], voxel_mm3: float) -> int:

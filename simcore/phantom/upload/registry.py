@@ -161,6 +161,12 @@ def _check_against(upload: Upload, spec: UploadedPhantom) -> None:
             if abs(spec.thickness_mm - upload.plates_mm) > 0.5 * edge:
                 message = f"the plates in the file are {upload.plates_mm:g} mm apart: leave thickness_mm out"
                 raise refused("thickness_mm", spec.thickness_mm, message)
+    planes = zip(noted.planes_used(), spec.planes_used(), strict=True)
+    less = spec.compressed == noted.compressed and any(real > said + 0.5 for real, said in planes)
+    if less and noted.extent_mm and spec.extent_mm:
+        size = " x ".join(f"{side:g}" for side in noted.extent_mm)
+        message = f"the tissue is {size} mm with voxels of {list(noted.spacing_mm)} mm; that, or none (null)"
+        raise refused("extent_mm", list(spec.extent_mm), message)
     if len(upload.ends) == 3 and spec.axes != noted.axes:
         a, b, c = (wall.Ends(*e) for e in upload.ends)
         wall.check((a, b, c), spec.axes)

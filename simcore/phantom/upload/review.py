@@ -58,12 +58,8 @@ def review(
     volumes = _volumes(contents)
     remarks = list(_doubts(contents, volumes, anatomy, confirmed))
     extents = anatomy.body.extents()
-    body = None
-    if not compressed and len(extents) > 1:
-        pieces.check(extents, voxel_mm3)
-        first, behind = extents.first[extents.largest], extents.behind[extents.largest]
-        a, b, c = ((int(low), int(high)) for low, high in zip(first, behind, strict=True))
-        body = (a, b, c)
+    body = None if compressed else pieces.body_box(extents, voxel_mm3)
+    if body is not None:
         ml = (extents.voxels.sum() - extents.voxels.max()) * voxel_mm3 * 1e-3
         count = len(extents) - 1
         what = "1 piece" if count == 1 else f"{count} pieces"

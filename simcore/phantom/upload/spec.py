@@ -136,6 +136,12 @@ class UploadedPhantom(Spec):
         along = {axis[1]: n * d for axis, n, d in zip(self.axes, self.shape, self.spacing_mm, strict=True)}
         return along["x"], along["y"], along["z"]
 
+    def planes_used(self) -> tuple[float, float, float]:
+        """``size_mm`` in voxels along the axes of the array."""
+        size = dict(zip("xyz", self.size_mm(), strict=True))
+        a, b, c = (size[axis[1]] / edge for axis, edge in zip(self.axes, self.spacing_mm, strict=True))
+        return a, b, c
+
     def semi_axes(self) -> tuple[float, float, float, float]:
         """(depth along x, half width along y, upper and lower half height along z), mm."""
         x, y, z = self.size_mm()

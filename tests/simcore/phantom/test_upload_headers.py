@@ -216,8 +216,11 @@ def test_air_around_a_breast_needs_no_memory() -> None:
     assert estimate.check(case, 4_000_000_000).memory_bytes < 2e9
 
 
-def test_a_volume_is_never_held_whole(tmp_path: Path) -> None:
+@pytest.mark.parametrize("speck", [False, True])
+def test_a_volume_is_never_held_whole(tmp_path: Path, speck: bool) -> None:
     voxels = np.zeros((400, 500, 500), np.uint8)  # 100 MB
+    if speck:
+        voxels[0, 0, 499] = voxels[399, 499, 499] = 1
     voxels[200 : 200 + BREAST.shape[0], 100 : 100 + BREAST.shape[1], 50 : 50 + BREAST.shape[2]] = BREAST
     (tmp_path / "a.nrrd").write_bytes(made.as_nrrd(voxels, spacing=(2.0, 2.0, 2.0)))
     shape = voxels.shape
@@ -225,7 +228,7 @@ def test_a_volume_is_never_held_whole(tmp_path: Path) -> None:
     store = Store(tmp_path / "store", min_free_bytes=0)
     tracemalloc.start()
     try:
-        upload = registry.add_file(store, tmp_path / "a.nrrd", Reading(compressed=True))
+        upload = registry.add_file(store, tmp_path / "a.nrrd")
         with registry.open_file(store, upload.spec) as file:
             loaded = phantom.load(upload.spec, file)
         peak = tracemalloc.get_traced_memory()[1]
@@ -233,7 +236,12 @@ def test_a_volume_is_never_held_whole(tmp_path: Path) -> None:
         tracemalloc.stop()
     assert upload.spec.shape == shape
     assert loaded.labels.size < 50_000
-    assert peak < 30e6
+    assert peak < 50e6
+    said = upload.spec.with_(extent_mm=(10.0, 70.0, 60.0))  # less than there is: its needs would be too small
+    with pytest.raises(SpecError, match=r"phantom\.extent_mm = .*10\.0.*the tissue is 50 x 74 x 62 mm .*that, or none"):
+        registry.require(store, said)
+    with pytest.raises(SpecError, match=r"phantom\.extent_mm = .*10\.0.*the tissue is 50 x 74 x 62 mm; that, or none"):
+        phantom.load(said, io.BytesIO((tmp_path / "a.nrrd").read_bytes()))
 
 
 def test_a_matrix_of_a_metaimage_that_is_none_is_not_ignored() -> None:
