@@ -76,6 +76,8 @@ soak: install-dev
 	$(BIN)/python -m bench.soak
 
 validate: install-dev test-production
+	cd tests/viewer && npm ci --ignore-scripts --no-audit --no-fund
+	$(BIN)/python -m pytest -m sweep tests/api/dicomweb
 	$(BIN)/python -m pytest -m sweep tests/simcore/dicom tests/test_deploy.py tests/worker/test_shared_stages.py
 	$(BIN)/python -m bench.verification
 	$(BIN)/python -m bench.figure4
