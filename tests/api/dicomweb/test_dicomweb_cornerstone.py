@@ -142,7 +142,7 @@ def test_what_this_version_of_the_loader_cannot_show(browser: Browser, address: 
 
 
 def test_sizes_of_pixels(browser: Browser, address: str, add_case, exported):
-    """Where an object has Pixel Spacing, at whatever level; views have Imager Pixel Spacing, which OHIF reads itself."""
+    """Where an object has Pixel Spacing, at whatever level; views have Imager Pixel Spacing, which the loader skips."""
     full = add_case(exported(seed=2, lesions=True, extras=EXTRAS), "full none")
     for name in ("tomosynthesis.dcm", "labels.dcm", "ct/0004.dcm"):
         assert show(browser, address, full, name)["spacing"] == [0.9, 0.85]
