@@ -10,9 +10,11 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import BaseModel, Field
 
+from simcore import unused
 from simcore.capacity import SHADOW_MARGIN, check_objects, predicted_grid
 from simcore.core.errors import GeometryError, ResourceLimitError, SpecError
 from simcore.core.memory import physical_bytes
+from simcore.phantom.upload.spec import UploadedPhantom
 from simcore.projection.acquisition import geometry_of
 from simcore.projection.poses import check_poses
 from simcore.projection.spec import AcquisitionSpec
@@ -27,6 +29,7 @@ class Estimate(BaseModel):
     storage_bytes: int = Field(description="room in the store, intermediate results included [byte]")
     output_bytes: int = Field(description="size of the files a client gets [byte]")
     seconds: float = Field(description="time on two cores, mesh included [s]")
+    remarks: list[str] = Field(default_factory=list, description="settings that are not used, and why")
 
 
 # How much deeper (x) and wider (y) a breast gets between the plates, against the compressed fraction of its thickness:
@@ -34,6 +37,10 @@ class Estimate(BaseModel):
 GROWTH_FRACTION = (0.0, 0.2, 0.5, 0.7, 0.75)
 GROWTH_X = (1.0, 1.032, 1.193, 1.47, 1.60)
 GROWTH_Y = (1.0, 1.048, 1.245, 1.53, 1.65)
+
+# What is advised holds for every law and shape: the whole breast at the height of the upper plate, and so much larger.
+ADVICE_MARGIN = 1.06
+MOST_PIXELS = 8192
 
 # Reconstructions that need a tube in the plane of the chest wall.
 IN_PLANE = ("fbp", "backprojection")
@@ -108,6 +115,7 @@ def estimate(spec: SimulationSpec) -> Estimate:
         storage_bytes=int(storage),
         output_bytes=int(output),
         seconds=round(seconds, 1),
+        remarks=unused.remarks(spec),
     )
 
 
@@ -130,6 +138,8 @@ def check(spec: SimulationSpec, memory_limit_bytes: int | None = None) -> Estima
     raises: SpecError where the geometry cannot work, ResourceLimitError where too much is asked; each message names
     the field, the needed and the allowed value.
     """
+    unused.refuse(spec)
+    _check_plates(spec)
     _check_geometry(spec)
     limit = physical_bytes() if memory_limit_bytes is None else memory_limit_bytes
     check_objects(spec, compressed_extent(spec), lambda other: estimate(other).memory_bytes <= limit)
@@ -175,13 +185,13 @@ def _check_geometry(spec: SimulationSpec) -> None:
         _refuse("acquisition.angular_range_degrees", 0.0, "a volume needs views at different angles: more than 0")
     depth, width, thickness = compressed_extent(spec)
     top = a.air_gap_mm + thickness + a.paddle_mm
-    mid = a.air_gap_mm + thickness / 2
+    heights = (a.air_gap_mm + thickness / 2, a.air_gap_mm + thickness)
     if a.trajectory is not None:
         _check_trajectory(spec, top)
         sources = geometry_of(a).sources
         if a.truncation == "refuse" and all(view.detector is None for view in a.trajectory):
-            _check_reach_x(a, sources, depth, mid)
-            _check_reach_y(a, sources, width, mid)
+            _check_reach_x(a, sources, depth, heights)
+            _check_reach_y(a, sources, width, heights)
         return
     # The focal spot is lowest in the outermost view.
     half = math.radians(a.angular_range_degrees / 2)
@@ -201,8 +211,8 @@ def _check_geometry(spec: SimulationSpec) -> None:
             f"50 mm must lie between",
         )
     if a.truncation == "refuse":
-        _check_reach_x(a, np.array([[0.0, 0.0, a.source_to_detector_mm]]), depth, mid)
-        _check_reach_y(a, np.array([[0.0, radius * math.sin(half), lowest]]), width, mid)
+        _check_reach_x(a, np.array([[0.0, 0.0, a.source_to_detector_mm]]), depth, heights)
+        _check_reach_y(a, np.array([[0.0, radius * math.sin(half), lowest]]), width, heights)
 
 
 def _check_trajectory(spec: SimulationSpec, top: float) -> None:
@@ -221,34 +231,93 @@ def _check_trajectory(spec: SimulationSpec, top: float) -> None:
         )
 
 
-def _check_reach_x(a: AcquisitionSpec, sources: NDArray[np.float64], depth: float, height: float) -> None:
-    """Whether the breast's shadow ends on the detector towards the nipple. height: of its middle, mm."""
+def _check_plates(spec: SimulationSpec) -> None:
+    """Whether the plates can stand where they are asked for, and are as large as the breast."""
+    p, c = spec.phantom, spec.compression
+    upper, lower = p.semi_axes()[2:]
+    if isinstance(p, UploadedPhantom) and p.compressed:
+        height = p.extent_mm[2] if p.extent_mm is not None else 0.0
+        if p.thickness_mm is not None and p.thickness_mm < height - p.edge_mm("z"):
+            message = f"the tissue is {height:g} mm high; at least that, or none"
+            _refuse("phantom.thickness_mm", p.thickness_mm, message)
+        return
+    if c.thickness_mm is not None:
+        # The mesh is a little thinner or thicker than the labels: what is near the limits is left to it.
+        height = upper + lower
+        least = height * (1 - c.percent / 100)
+        if c.thickness_mm >= height * 1.02:
+            message = (
+                f"the breast is {height:.1f} mm thick before it is compressed: a distance of the plates below that"
+            )
+            _refuse("compression.thickness_mm", c.thickness_mm, message)
+        if c.thickness_mm < least * 0.98:
+            message = (
+                f"the breast is {height:.1f} mm thick, and compression.percent = {c.percent:g} allows no less than "
+                f"{least:.1f} mm: at least that, or a larger percent"
+            )
+            _refuse("compression.thickness_mm", c.thickness_mm, message)
+    if c.elastic_plates is not None:
+        depth, width, _ = compressed_extent(spec)
+        for name, needed in (("depth_mm", depth), ("width_mm", width)):
+            given = getattr(c.elastic_plates, name)
+            if needed > given:
+                message = (
+                    f"the compressed breast is {needed:.0f} mm there and would reach beyond the plates: at least "
+                    f"{math.ceil(needed * ADVICE_MARGIN)}"
+                )
+                _refuse(f"compression.elastic_plates.{name}", given, message)
+
+
+def _check_reach_x(
+    a: AcquisitionSpec, sources: NDArray[np.float64], depth: float, heights: tuple[float, float]
+) -> None:
+    """Whether the breast's shadow ends on the detector towards the nipple. heights: of its middle and its top, mm."""
     x, z = sources[:, 0], sources[:, 2]
-    reach = float(np.max(x + (SHADOW_MARGIN * depth - x) * z / (z - height)))
+
+    def reach(margin: float, height: float) -> float:
+        return float(np.max(x + (margin * depth - x) * z / (z - height)))
+
     field = a.detector.pixels_x * a.detector.pixel_mm
-    if reach > field:
+    predicted = reach(SHADOW_MARGIN, heights[0])
+    if predicted > field:
         _refuse(
             "acquisition.detector.pixels_x",
             a.detector.pixels_x,
-            f"the breast reaches {reach:.0f} mm from the chest wall on the detector, which is {field:.0f} mm deep; "
-            f"at least {math.ceil(reach / a.detector.pixel_mm)} pixels, or acquisition.truncation = 'allow'",
+            f"the breast reaches {predicted:.0f} mm from the chest wall on the detector, which is {field:.0f} mm deep; "
+            f"{_pixels(reach(ADVICE_MARGIN, heights[1]), a)}, or acquisition.truncation = 'allow'",
         )
 
 
-def _check_reach_y(a: AcquisitionSpec, sources: NDArray[np.float64], width: float, height: float) -> None:
+def _check_reach_y(
+    a: AcquisitionSpec, sources: NDArray[np.float64], width: float, heights: tuple[float, float]
+) -> None:
     """Whether it ends on the detector along the tube travel."""
     y, z = np.abs(sources[:, 1]), sources[:, 2]
-    m = z / (z - height)
-    reach = float(np.max(SHADOW_MARGIN * m * width / 2 + (m - 1) * y))
+
+    def reach(margin: float, height: float) -> float:
+        m = z / (z - height)
+        return float(np.max(margin * m * width / 2 + (m - 1) * y))
+
     field = a.detector.pixels_y * a.detector.pixel_mm / 2
-    if reach > field:
+    predicted = reach(SHADOW_MARGIN, heights[0])
+    if predicted > field:
         _refuse(
             "acquisition.detector.pixels_y",
             a.detector.pixels_y,
-            f"in the outermost view the breast reaches {reach:.0f} mm from the middle of the detector, whose half "
-            f"width is {field:.0f} mm; at least {2 * math.ceil(reach / a.detector.pixel_mm)} pixels, a smaller "
-            f"angular range, or acquisition.truncation = 'allow'",
+            f"in the outermost view the breast reaches {predicted:.0f} mm from the middle of the detector, whose half "
+            f"width is {field:.0f} mm; {_pixels(2 * reach(ADVICE_MARGIN, heights[1]), a)}, a smaller angular range, or "
+            "acquisition.truncation = 'allow'",
         )
+
+
+def _pixels(reach: float, a: AcquisitionSpec) -> str:
+    """How many surely hold a shadow of ``reach`` mm; where there cannot be so many, how large they would have to be."""
+    pixel = a.detector.pixel_mm
+    count = 2 * math.ceil(reach / pixel / 2)
+    if count <= MOST_PIXELS:
+        return f"take at least {count} pixels"
+    larger = math.ceil(100 * reach / MOST_PIXELS) / 100
+    return f"take {MOST_PIXELS} pixels of at least {larger:g} mm (pixel_mm)"
 
 
 def _refuse(name: str, value: float | str, message: str) -> NoReturn:

@@ -20,7 +20,7 @@ from typing import Any
 
 import numpy as np
 
-from simcore import __version__, dicom, fem, mesh, phantom, preview, projection, reconstruction, warp
+from simcore import __version__, dicom, fem, mesh, phantom, preview, projection, reconstruction, unused, warp
 from simcore.core import files
 from simcore.core.artifacts import Compression, Phantom, ProjectionStack, Report, TetMesh, Volume
 from simcore.core.progress import Progress
@@ -73,6 +73,7 @@ def run(spec: SimulationSpec, store: Store, progress: CaseProgress = silent) -> 
 
     raises: SimulationError (its message says what to change); whatever was computed before stays in the store.
     """
+    unused.refuse(spec)
     start = time.perf_counter()
     with Commits() as later:
         case = Run(store, VERSIONS, progress, later)

@@ -199,7 +199,8 @@ def _simulate(args: argparse.Namespace) -> None:
     from tomosim.console import StageDisplay
 
     spec = _read_spec(args.spec)
-    estimate.check(spec)
+    for remark in estimate.check(spec).remarks:
+        print(f"tomosim: {remark}", file=sys.stderr)
     from simcore import pipeline  # the kernels take a second to load: a wrong specification is told before
 
     _set_threads(args.threads)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numba
@@ -92,11 +93,13 @@ def truncation(found: list[Shadow], geometry: AcquisitionGeometry) -> str:
     if beyond_y(found, geometry):
         words.append(
             f"along the tube travel to {y_reach:.1f} mm from the middle, the detector to {half:.1f} mm "
-            f"(pixels_y {detector.ny} x pixel_mm {detector.pixel:g} / 2)"
+            f"(pixels_y {detector.ny} x pixel_mm {detector.pixel:g} / 2; "
+            f"{2 * math.ceil(y_reach / detector.pixel)} pixels would do)"
         )
     if x_reach > depth:
         words.append(
             f"towards the nipple to {x_reach:.1f} mm from the chest wall, the detector to {depth:.1f} mm "
-            f"(pixels_x {detector.nx} x pixel_mm {detector.pixel:g})"
+            f"(pixels_x {detector.nx} x pixel_mm {detector.pixel:g}; "
+            f"{math.ceil(x_reach / detector.pixel)} pixels would do)"
         )
     return " and ".join(words)

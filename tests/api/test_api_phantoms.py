@@ -58,6 +58,39 @@ def test_its_specification_can_be_posted(uploaded: dict, client: TestClient):
     assert response.json()["estimate"]["voxels"] == LABELS.size
 
 
+def test_tissues_volumes_and_doubts_are_told(uploaded: dict, client: TestClient, is_problem):
+    tissue = int(np.sum(LABELS == 1))
+    assert uploaded["contents"] == [
+        {"value": 0, "tissue": "air", "voxels": int(np.sum(LABELS == 0)), "share": None, "ml": pytest.approx(
+            np.sum(LABELS == 0) * 8e-3)},
+        {"value": 1, "tissue": "adipose", "voxels": tissue, "ml": pytest.approx(tissue * 8e-3), "share": 1.0},
+    ]  # fmt: skip
+    assert uploaded["remarks"] == ["doubtful: no value is gland", "no value is skin"]
+    muscle = {"reading": json.dumps({"tissues": {"0": "air", "1": "muscle"}})}
+    problem = is_problem(client.post(PATH, params=muscle, content=nrrd(), headers=BINARY), 422, "invalid-request")
+    assert problem["reason"] == "upload-doubtful-tissues"
+    assert "it has no fat and no gland" in problem["detail"]
+    confirmed = {"reading": json.dumps({"tissues": {"0": "air", "1": "muscle"}, "confirm_tissues": True})}
+    assert client.post(PATH, params=confirmed, content=nrrd(), headers=BINARY).status_code == 201
+
+
+def test_a_compression_of_a_compressed_phantom_is_refused_at_once(client: TestClient, is_problem):
+    reading = {"reading": json.dumps({"compressed": True})}
+    part = client.post(PATH, params=reading, content=nrrd(), headers=BINARY).json()["specification"]["phantom"]
+    for path in ("/v1/simulations", "/v1/simulations/estimate"):
+        asked = {"phantom": part, "compression": {"thickness_mm": 20.0}}
+        problem = is_problem(client.post(path, json=asked), 422, "invalid-request")
+        assert problem["reason"] == "setting-not-used"
+        assert problem["errors"][0]["pointer"] == "/compression/thickness_mm"
+        thin = {"phantom": {**part, "thickness_mm": 10.0}}
+        problem = is_problem(client.post(path, json=thin), 422, "invalid-request")
+        assert problem["errors"][0]["pointer"] == "/phantom/thickness_mm"
+        turned = {"phantom": {**part, "axes": ["+z", "+y", "-x"]}}
+        problem = is_problem(client.post(path, json=turned), 422, "invalid-request")
+        assert "axes = +z,+y,+x" in problem["detail"]
+    assert client.post("/v1/simulations", json={"phantom": part}).status_code == 202
+
+
 def test_raw_voxels_come_with_a_header(client: TestClient, is_problem):
     header = {"shape": list(LABELS.shape), "spacing_mm": [2.0, 2.0, 2.0]}
     reading = json.dumps({"raw": header, "tissues": {"0": "air", "1": "gland"}, "compressed": True})

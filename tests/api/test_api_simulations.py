@@ -34,7 +34,10 @@ def test_a_broker_that_is_down_refuses_nothing(client, broker, served):
 def test_estimate_keeps_nothing(client, broker):
     response = client.post("/v1/simulations/estimate", json={"phantom": {"voxel_mm": 0.4}})
     assert response.status_code == 200
-    assert set(response.json()) == {"voxels", "memory_bytes", "storage_bytes", "output_bytes", "seconds"}
+    assert set(response.json()) == {"voxels", "memory_bytes", "storage_bytes", "output_bytes", "seconds", "remarks"}
+    assert response.json()["remarks"] == []
+    idle = client.post("/v1/simulations/estimate", json={"export": {"oblique_angle_degrees": 60.0}})
+    assert idle.json()["remarks"] == ["export.oblique_angle_degrees is not used: export.view is 'CC'"]
     assert client.get("/v1/simulations").json()["items"] == []
     assert broker.messages == []
 

@@ -130,9 +130,16 @@ class UploadedPhantom(Spec):
         return f"phantom.shape = {list(self.shape)}"
 
     def size_mm(self) -> tuple[float, float, float]:
-        """Size of the tissue, or of the array where that is not known, along (x, y, z), mm."""
-        if self.extent_mm is not None:
-            return self.extent_mm
+        """Size of the tissue, or of the array where that is not known, along (x, y, z), mm; along z the distance of the
+        plates of a compressed breast, where that is larger."""
+        x, y, z = self.extent_mm or self._array_mm()
+        return x, y, max(z, self.thickness_mm or 0.0)
+
+    def edge_mm(self, name: str) -> float:
+        """Voxel edge along "x", "y" or "z", mm."""
+        return next(d for axis, d in zip(self.axes, self.spacing_mm, strict=True) if axis[1] == name)
+
+    def _array_mm(self) -> tuple[float, float, float]:
         along = {axis[1]: n * d for axis, n, d in zip(self.axes, self.shape, self.spacing_mm, strict=True)}
         return along["x"], along["y"], along["z"]
 

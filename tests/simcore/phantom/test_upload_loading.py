@@ -18,6 +18,7 @@ from simcore.core.artifacts import Phantom
 from simcore.core.errors import ResourceLimitError, SpecError
 from simcore.core.store import Store, file_digest
 from simcore.core.tissues import Tissue
+from simcore.fem.spec import CompressionSpec
 from simcore.mesh.spec import LatticeMesh
 from simcore.phantom.upload import registry, tissue_maps
 from simcore.phantom.upload.reading import RawHeader, Reading
@@ -216,6 +217,8 @@ def test_what_the_file_does_not_say_can_be_said(store: Store, tmp_path: Path) ->
 def case(upload: registry.Upload, **fields: object) -> SimulationSpec:
     tiny = get("tiny")
     part = upload.spec.with_(**fields)
+    if part.compressed:
+        return tiny.with_(phantom=part, compression=CompressionSpec())
     return tiny.with_(phantom=part, mesh=LatticeMesh(edge_length_mm=16.0))
 
 
