@@ -274,3 +274,22 @@ def test_bits_stored(tmp_path: Path, small_case: SmallCase) -> None:
     for name in ("projections.dcm", "projections/0001.dcm"):
         d = pydicom.dcmread(tmp_path / name)
         assert (d.BitsStored, d.HighBit) == (14, 13)
+
+
+def test_a_phantom_may_reach_beyond_the_plates(exported: Callable[[SmallCase], Path]) -> None:
+    """Its grid need not begin on the support: labels, lesions and boxes stay where they are."""
+    case = make_case(lesions=True, extras=["synthetic-2d"])
+    grid = case.phantom.grid
+    labels = np.pad(case.phantom.labels, ((3, 2), (0, 0), (0, 0)))
+    labels[:3, 5:9, 3:6] = labels[-2:, 5:9, 3:6] = 1  # hangs over the edge of the plates
+    larger = Grid(labels.shape, grid.spacing, (grid.corner[0], grid.corner[1], grid.corner[2] - 3 * grid.spacing[2]))
+    plain = exported(case)
+    other = exported(replace(case, phantom=replace(case.phantom, labels=labels, grid=larger)))
+    for name in ("labels.dcm", "lesions.dcm", "tomosynthesis.dcm"):
+        expected = pixel_array(plain / name)
+        if name == "labels.dcm":
+            # The volume of this case begins 2 mm below the support: what hangs over is seen where it reaches.
+            expected = labels_by_definition(replace(case, phantom=replace(case.phantom, labels=labels, grid=larger)))
+        np.testing.assert_array_equal(pixel_array(other / name), expected)
+    boxes = [[row.split(",")[2:] for row in (f / "truth.csv").read_text().splitlines()] for f in (plain, other)]
+    assert boxes[0] == boxes[1]

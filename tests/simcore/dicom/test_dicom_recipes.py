@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import gzip
 import json
+import os
 import re
 import shutil
 import subprocess
+import sys
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
@@ -28,7 +30,9 @@ VIEWS = [("L", "CC"), ("R", "CC"), ("L", "MLO"), ("R", "MLO")]
 TEXT = DOCS.read_text(encoding="utf-8")
 
 needs_simpleitk = pytest.mark.skipif(find_spec("SimpleITK") is None, reason="needs the package SimpleITK")
-needs_dcmqi = pytest.mark.skipif(shutil.which("segimage2itkimage") is None, reason="needs the package dcmqi")
+# Programs of a package stand beside the interpreter, which need not be on the path.
+PATH = os.pathsep.join([str(Path(sys.executable).parent), os.environ.get("PATH", "")])
+needs_dcmqi = pytest.mark.skipif(shutil.which("segimage2itkimage", path=PATH) is None, reason="needs the package dcmqi")
 
 
 def recipe(heading: str, language: str = "python") -> str:
@@ -221,7 +225,13 @@ def test_dcmqi(tmp_path: Path, laterality: str, view: str) -> None:
     case = make_case(laterality=laterality, view=view, lesions=True, extras=["attenuation", "report"])
     case.export(tmp_path / "case")
     (tmp_path / "out").mkdir()
-    subprocess.run(["sh", "-ec", recipe("dcmqi and 3D Slicer", "sh")], cwd=tmp_path, check=True, capture_output=True)
+    subprocess.run(
+        ["sh", "-ec", recipe("dcmqi and 3D Slicer", "sh")],
+        cwd=tmp_path,
+        check=True,
+        capture_output=True,
+        env={**os.environ, "PATH": PATH},
+    )
     tissue = in_file_order(*read_nrrd(tmp_path / "out/tissue-1.nrrd"), tmp_path / "case/labels.dcm")
     np.testing.assert_array_equal(tissue, pydicom.dcmread(tmp_path / "case/labels.dcm").pixel_array)
     mu = in_file_order(*read_nrrd(tmp_path / "out/attenuation-pmap.nrrd"), tmp_path / "case/attenuation.dcm")
