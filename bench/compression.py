@@ -25,7 +25,7 @@ from bench._timing import Stolen
 from bench.peers import calculix, scikit
 from simcore.core.artifacts import Compression, TetMesh
 from simcore.fem import CompressionSpec, compress
-from simcore.fem.materials.neo_hookean import NeoHookean
+from simcore.fem.laws.neo_hookean import NeoHookean
 
 MATERIAL = NeoHookean(youngs_modulus_kPa=60.6, poissons_ratio=0.475)
 SPEC = CompressionSpec(percent=50.0, material=MATERIAL)

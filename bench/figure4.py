@@ -22,7 +22,7 @@ import matplotlib.pyplot as plt
 
 from bench._bodies import C_CUP, ellipsoid_labels, scaled_to
 from simcore.fem import CompressionSpec, compress
-from simcore.fem.materials.neo_hookean import NeoHookean
+from simcore.fem.laws.neo_hookean import NeoHookean
 from simcore.mesh import build
 from simcore.mesh.spec import LatticeMesh
 from simcore.presets import CUPS, PERCENTS

@@ -28,7 +28,7 @@ from simcore.core.artifacts import Compression, Phantom, TetMesh
 from simcore.core.errors import SimulationError
 from simcore.core.tissues import Tissue
 from simcore.fem import CompressionSpec, compress
-from simcore.fem.materials import MaterialSpec
+from simcore.fem.laws import MaterialSpec
 from simcore.fem.spec import ElasticPlates, Gravity, SkinMembrane, SpringPaddle
 from simcore.mesh import build
 from simcore.mesh.spec import LatticeMesh, TetwildMesh

@@ -27,7 +27,7 @@ from simcore.core.progress import Progress
 from simcore.core.progress import silent as no_progress
 from simcore.core.store import Commits, FileRef, Hashing, Store, canonical, digest
 from simcore.dicom.spec import ExportSpec
-from simcore.fem.materials import MaterialSpec
+from simcore.fem.laws import MaterialSpec
 from simcore.phantom.upload import registry
 from simcore.phantom.upload.spec import UploadedPhantom
 from simcore.spec import SimulationSpec

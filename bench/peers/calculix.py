@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 
 from bench._bodies import Floats
 from simcore.core.artifacts import Compression
-from simcore.fem.materials.neo_hookean import NeoHookean
+from simcore.fem.laws.neo_hookean import NeoHookean
 from simcore.mesh.quality import boundary_faces
 
 CONTACT_STIFFNESS = 5.0

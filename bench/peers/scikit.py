@@ -20,7 +20,7 @@ from skfem.helpers import ddot, det, grad, inv, mul, transpose
 
 from bench._bodies import Floats
 from simcore.core.artifacts import Compression, TetMesh
-from simcore.fem.materials.neo_hookean import NeoHookean
+from simcore.fem.laws.neo_hookean import NeoHookean
 
 ON_PLATE_MM = 1e-5
 _MAX_NEWTON = 25

@@ -14,7 +14,7 @@ from bench.verification.explicit import relax
 from simcore import phantom
 from simcore.core.artifacts import Compression, TetMesh
 from simcore.fem import CompressionSpec, compress
-from simcore.fem.materials.published import Published
+from simcore.fem.laws.published import Published
 from simcore.fem.spec import SkinMembrane
 from simcore.mesh import build
 from simcore.mesh.spec import LatticeMesh

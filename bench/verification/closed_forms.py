@@ -6,7 +6,7 @@ import numpy as np
 from scipy.optimize import brentq
 
 from bench._bodies import Floats
-from simcore.fem.materials.law import Law
+from simcore.fem.laws.law import Law
 
 
 def piola_stress(F: Floats, law: Law) -> Floats:

@@ -14,7 +14,7 @@ from scipy.sparse import csr_matrix
 
 from bench._bodies import Floats
 from simcore.core.artifacts import TetMesh
-from simcore.fem.materials.law import Law
+from simcore.fem.laws.law import Law
 
 _RAMP = 3000
 _MAX_STEPS = 60000

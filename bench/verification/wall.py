@@ -8,7 +8,7 @@ from bench._bodies import C_CUP, ONE_TISSUE
 from bench.verification.check import Check, at_least, relative
 from bench.verification.exact import MATERIAL
 from simcore.fem import CompressionSpec, compress
-from simcore.fem.materials.veronda_westmann import VerondaWestmann
+from simcore.fem.laws.veronda_westmann import VerondaWestmann
 from simcore.mesh.structured import half_ellipsoid
 
 SPEC = CompressionSpec(percent=50.0, material=MATERIAL, chest_wall="fixed")

@@ -6,9 +6,9 @@ from pathlib import Path
 
 from simcore.core.artifacts import Compression, Phantom, TetMesh
 from simcore.core.progress import Progress, silent
-from simcore.fem.materials import MaterialSpec
-from simcore.fem.materials.by_tissue import ByTissue
-from simcore.fem.materials.published import Published
+from simcore.fem.laws import MaterialSpec
+from simcore.fem.laws.by_tissue import ByTissue
+from simcore.fem.laws.published import Published
 from simcore.fem.spec import CompressionSpec
 
 __all__ = ["CompressionSpec", "compress", "reads_tissues", "write_vtu"]

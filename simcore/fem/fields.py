@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from simcore.core.artifacts import TetMesh
-from simcore.fem.laws import N_PER_KPA_MM2, ElementLaws
+from simcore.fem.laws.of_elements import N_PER_KPA_MM2, ElementLaws
 from simcore.fem.model import Floats, Model
 
 
@@ -53,7 +53,7 @@ class Stress:
         force = alone.internal_force(displacement[corners], tension[corners]).reshape(-1, 4, 3)
         position = apart.nodes.reshape(-1, 4, 3)
         piola = force.transpose(0, 2, 1) @ (position - position[:, :1]) / alone.volumes[:, None, None]
-        if laws.linear_strain and not laws.st_venant_kirchhoff:
+        if laws.linear is not None and not laws.linear.large:
             cauchy = piola / N_PER_KPA_MM2
         else:
             strain = Strain.of(mesh, displacement)
@@ -74,6 +74,6 @@ def _nodal_tension(model: Model, displacement: Floats) -> Floats:
     system = model.system()
     model.assemble(displacement, np.zeros(len(displacement)), system, with_tangent=False)
     ratio = system.node_volume / model.node_volume
-    if model.laws.linear_strain:
+    if model.laws.linear is not None:
         return model.node_bulk * (ratio - 1)
     return model.node_bulk / 2 * (ratio - 1 / ratio)

@@ -13,7 +13,7 @@ from simcore.core.artifacts import TetMesh
 from simcore.fem.assembly import assemble_neo_hookean
 from simcore.fem.blocks import empty as aligned
 from simcore.fem.element import Array, shape_gradients
-from simcore.fem.laws import ElementLaws
+from simcore.fem.laws.of_elements import ElementLaws
 from simcore.fem.linear_strain import assemble_linear_strain
 from simcore.fem.membrane import Membrane
 from simcore.fem.principal import assemble_principal
@@ -178,12 +178,12 @@ class Model:
         body = (displacement, pressure, self.tets, self.gradients, self.volumes)
         rest = (self.pattern.block_of, with_tangent, system.force, system.node_volume, system.blocks)
         laws = self.laws
-        if laws.linear_strain:
-            smallest = assemble_linear_strain(*body, laws.shear, laws.st_venant_kirchhoff, *rest)
+        if laws.linear is not None:
+            smallest = assemble_linear_strain(*body, laws.shear, laws.linear.large, *rest)
         elif laws.neo_hookean:
             smallest = assemble_neo_hookean(*body, laws.shear, *rest)
         else:
-            smallest = assemble_principal(*body, laws.kinds, laws.coefficients, laws.fractions, *rest)
+            smallest = assemble_principal(*body, laws.numbers, laws.coefficients, laws.fractions, *rest)
         if self.membrane is not None:
             self.membrane.add(displacement, self.nodes, with_tangent, system.force, system.blocks)
         if self.load is not None:
@@ -200,7 +200,7 @@ class Model:
         """(J, dJ/dp) at the nodes, the inverse of p = kappa U'(J) = kappa/2 (J - 1/J); pressure in N/mm^2, positive
         in tension. Laws of linear strain: 1 + tr(E) with p = kappa tr(E)."""
         t = pressure / self.node_bulk
-        if self.laws.linear_strain:
+        if self.laws.linear is not None:
             return 1 + t, 1 / self.node_bulk
         root = np.sqrt(t * t + 1)
         return t + root, (1 + t / root) / self.node_bulk

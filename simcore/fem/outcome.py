@@ -9,13 +9,11 @@ from numpy.typing import NDArray
 
 from simcore.core.advice import one_of, where
 from simcore.core.errors import SolverError
-from simcore.fem.materials.by_tissue import ByTissue
-from simcore.fem.materials.law import Law, LawKind
-from simcore.fem.materials.published import Published
+from simcore.fem.laws.by_tissue import ByTissue
+from simcore.fem.laws.law import Law
+from simcore.fem.laws.published import Published
 from simcore.fem.spec import MOST_PERCENT, CompressionSpec
 
-SOFTENING = {LawKind.HENCKY, LawKind.SMALL_STRAIN, LawKind.ST_VENANT_KIRCHHOFF}
-STIFFENING = {LawKind.POLYNOMIAL, LawKind.VERONDA_WESTMANN, LawKind.WELLMAN}
 NEAR_INCOMPRESSIBLE = 10.0
 """Bulk over shear modulus above which a smaller Poisson's ratio (0.45 gives 9.7) makes a compression easier."""
 
@@ -61,8 +59,12 @@ def _poissons_ratio(spec: CompressionSpec) -> str | None:
     return where(stiff, "a smaller poissons_ratio")
 
 
-def _other_law(kinds: set[LawKind], words: str) -> Remedy:
-    return lambda spec: where(any(law.kind in kinds for law in laws(spec)), words)
+def _law_that_does_not_soften(spec: CompressionSpec) -> str | None:
+    return where(any(law.energy.softens for law in laws(spec)), "a law that does not soften")
+
+
+def _law_that_stiffens_less(spec: CompressionSpec) -> str | None:
+    return where(any(law.energy.stiffens for law in laws(spec)), "a law that stiffens less")
 
 
 def _fixed_wall(spec: CompressionSpec) -> str | None:
@@ -85,11 +87,11 @@ REMEDIES: dict[str, tuple[Remedy, ...]] = {
     "inverted-element": (_less, _finer_mesh, _poissons_ratio, _wider_edge),
     "not-converged": (_less, _finer_mesh, _poissons_ratio, _wider_edge),
     "linear-system": (_less, _coarser_mesh, _poissons_ratio),
-    "unstable-equilibrium": (_less, _other_law(SOFTENING, "a law that does not soften"), _fixed_wall),
+    "unstable-equilibrium": (_less, _law_that_does_not_soften, _fixed_wall),
     "unstable-material": (_less, lambda spec: "strain = 'hencky'"),
     "paddle-turned": (lambda spec: "a stiffer spring_paddle", _less),
     "force-limit": (_less, lambda spec: "a softer material", lambda spec: "a higher force_limit_N"),
-    "locked-tissue": (_less, _free_wall, _wider_edge, _other_law(STIFFENING, "a law that stiffens less")),
+    "locked-tissue": (_less, _free_wall, _wider_edge, _law_that_stiffens_less),
     "target-not-reached": (_more_percent, lambda spec: "a smaller force_N"),
 }
 """What to change, by code; of these, what the specification has not already."""

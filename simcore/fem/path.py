@@ -11,7 +11,6 @@ from simcore.core.progress import Progress, silent
 from simcore.fem import solver as newton
 from simcore.fem.contact import Contact
 from simcore.fem.linear import MAX_ITERATIONS
-from simcore.fem.materials.linear_elastic import ST_VENANT_KIRCHHOFF_STRETCH
 from simcore.fem.outcome import CompressionFailed, message
 from simcore.fem.press import Press, RigidPress
 from simcore.fem.solver import Counters, LoadStep, Solver, State, StepFailed
@@ -162,14 +161,14 @@ class _Path:
     def _halved(self, size: float) -> float:
         if size / 2 >= SMALLEST_LOAD_STEP * min(1.0, self.target.percent):
             return size / 2
-        if self.solver.model.laws.st_venant_kirchhoff:
+        if self.solver.model.laws.least_stretch:
             raise self._failed("unstable-material", stretch=self._least_stretch(self.state))
         raise self._failed(self.failure, iterations=newton.MAX_NEWTON, limit=MAX_ITERATIONS)
 
     def _refuse_instability(self, state: State) -> None:
-        if self.solver.model.laws.st_venant_kirchhoff:
+        if limit := self.solver.model.laws.least_stretch:
             stretch = self._least_stretch(state)
-            if stretch < ST_VENANT_KIRCHHOFF_STRETCH:
+            if stretch < limit:
                 raise self._failed("unstable-material", stretch=stretch)
 
     def _refuse_locking(self, state: State, step: LoadStep) -> None:

@@ -14,7 +14,7 @@ import numpy as np
 from numba import njit
 
 from simcore.fem.element import Array, deformation_gradient, inverse_transpose
-from simcore.fem.energy import add_energy_derivatives
+from simcore.fem.laws.energies import add_energy_derivatives
 
 _EQUAL = 1e-5
 """Relative difference of squared stretches below which the limit of equal ones is used (error of its square)."""
@@ -27,7 +27,7 @@ def assemble_principal(
     tets: Array,
     gradients: Array,
     volumes: Array,
-    kinds: Array,
+    numbers: Array,
     coefficients: Array,
     fractions: Array,
     block_of: Array,
@@ -38,7 +38,8 @@ def assemble_principal(
 ) -> float:
     """As simcore.fem.assembly.assemble_neo_hookean, for a mixture of laws in each element.
 
-    kinds: int64 (laws,), coefficients: (laws, COEFFICIENTS), N/mm^2 or 1. fractions: (m, laws), shares of the volume.
+    numbers: int64 (laws,), of simcore.fem.laws.energies. coefficients: (laws, COEFFICIENTS), N/mm^2 or 1.
+    fractions: (m, laws), shares of the volume.
     """
     force[:] = 0.0
     node_volume[:] = 0.0
@@ -62,9 +63,9 @@ def assemble_principal(
         volumetric = J * 0.25 * (pressure[tet[0]] + pressure[tet[1]] + pressure[tet[2]] + pressure[tet[3]])
         tau[:] = volumetric
         gamma[:] = volumetric
-        for law in range(kinds.shape[0]):
+        for law in range(numbers.shape[0]):
             if fractions[e, law] > 0.0:
-                add_energy_derivatives(kinds[law], coefficients[law], fractions[e, law], squared, J, tau, gamma)
+                add_energy_derivatives(numbers[law], coefficients[law], fractions[e, law], squared, J, tau, gamma)
         quarter = 0.25 * volume * J
         for a in range(4):
             for i in range(3):

@@ -7,8 +7,8 @@ from typing import Literal, Self
 from pydantic import Field, model_validator
 
 from simcore.core.spec_base import Spec, quantity
-from simcore.fem.materials import MaterialSpec
-from simcore.fem.materials.neo_hookean import NeoHookean
+from simcore.fem.laws import MaterialSpec
+from simcore.fem.laws.neo_hookean import NeoHookean
 
 MOST_PERCENT = 75.0
 _N_PER_KPA_MM2 = 1e-3

@@ -9,10 +9,10 @@ from numpy.typing import NDArray
 from simcore.core.artifacts import Phantom, TetMesh
 from simcore.core.tissues import MAX_TISSUES, Tissue
 from simcore.fem.element import Array
-from simcore.fem.laws import ElementLaws
-from simcore.fem.materials import MaterialSpec
-from simcore.fem.materials.by_tissue import ByTissue
-from simcore.fem.materials.published import Published
+from simcore.fem.laws import MaterialSpec
+from simcore.fem.laws.by_tissue import ByTissue
+from simcore.fem.laws.of_elements import ElementLaws
+from simcore.fem.laws.published import Published
 
 SUBDIVISIONS = 2
 """A tetrahedron is sampled at the centres of its 8^SUBDIVISIONS parts of equal volume."""

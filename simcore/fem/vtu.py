@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from simcore.core.artifacts import Compression, Phantom, TetMesh
 from simcore.core.tissues import Tissue
 from simcore.fem.fields import Strain, Stress
-from simcore.fem.materials import MaterialSpec
+from simcore.fem.laws import MaterialSpec
 from simcore.fem.tissues import element_laws, tissue_fractions
 
 

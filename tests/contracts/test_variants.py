@@ -8,7 +8,7 @@ from typing import get_args
 import pytest
 
 from simcore.core.spec_base import Spec
-from simcore.fem.materials import MaterialSpec
+from simcore.fem.laws import MaterialSpec
 from simcore.mesh.spec import MeshSpec
 from simcore.phantom.lesions import LesionSpec
 from simcore.phantom.spec import PhantomSpec

@@ -18,8 +18,8 @@ from simcore.core.errors import SimulationError
 from simcore.core.store import FileRef, Store
 from simcore.core.tissues import Tissue
 from simcore.dicom import check
-from simcore.fem.materials.by_tissue import ByTissue
-from simcore.fem.materials.published import Published
+from simcore.fem.laws.by_tissue import ByTissue
+from simcore.fem.laws.published import Published
 from simcore.mesh.spec import LatticeMesh
 from simcore.phantom.lesions import Mass
 from simcore.reconstruction.spec import Sart

@@ -12,9 +12,9 @@ from simcore.core.grid import Grid
 from simcore.fem import CompressionSpec, compress
 from simcore.fem.constraints import Constraints
 from simcore.fem.contact import Contact, Plates
-from simcore.fem.laws import ElementLaws
+from simcore.fem.laws.neo_hookean import NeoHookean
+from simcore.fem.laws.of_elements import ElementLaws
 from simcore.fem.linear import Guard, Tangent
-from simcore.fem.materials.neo_hookean import NeoHookean
 from simcore.fem.model import Model
 from simcore.fem.path import Target, follow
 from simcore.fem.solver import Solver, State

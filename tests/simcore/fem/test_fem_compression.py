@@ -14,9 +14,9 @@ from simcore.core.errors import Cancelled, SolverError
 from simcore.core.grid import Grid
 from simcore.fem import CompressionSpec, compress, solver
 from simcore.fem.contact import LOWER, UPPER, Contact, Plates
-from simcore.fem.laws import ElementLaws
+from simcore.fem.laws.neo_hookean import NeoHookean
+from simcore.fem.laws.of_elements import ElementLaws
 from simcore.fem.linear import Guard
-from simcore.fem.materials.neo_hookean import NeoHookean
 from simcore.fem.model import Model
 from simcore.fem.path import Solution, Target, follow
 from simcore.fem.report import verify

@@ -13,16 +13,16 @@ from scipy.optimize import brentq
 from simcore.core.artifacts import Phantom, TetMesh
 from simcore.core.errors import SolverError
 from simcore.core.grid import Grid
-from simcore.fem import CompressionSpec, compress, path
-from simcore.fem.energy import COEFFICIENTS, add_energy_derivatives
-from simcore.fem.laws import ElementLaws
-from simcore.fem.materials.law import Law, LawKind
-from simcore.fem.materials.linear_elastic import LinearElastic
-from simcore.fem.materials.mooney_rivlin import MooneyRivlin
-from simcore.fem.materials.neo_hookean import NeoHookean
-from simcore.fem.materials.polynomial import Polynomial
-from simcore.fem.materials.veronda_westmann import VerondaWestmann
-from simcore.fem.materials.wellman import Wellman
+from simcore.fem import CompressionSpec, compress
+from simcore.fem.laws.energies import COEFFICIENTS, add_energy_derivatives, number_of
+from simcore.fem.laws.law import Law
+from simcore.fem.laws.linear_elastic import LinearElastic
+from simcore.fem.laws.mooney_rivlin import MooneyRivlin
+from simcore.fem.laws.neo_hookean import NeoHookean
+from simcore.fem.laws.of_elements import ElementLaws
+from simcore.fem.laws.polynomial import Polynomial
+from simcore.fem.laws.veronda_westmann import VerondaWestmann
+from simcore.fem.laws.wellman import Wellman
 from simcore.fem.model import Model
 from simcore.fem.principal import assemble_principal, principal_axes
 from simcore.mesh.structured import box
@@ -109,7 +109,9 @@ def test_derivatives_are_those_of_the_energy(name: str, stretches: tuple[float, 
     def derivatives(strain: Floats) -> tuple[Floats, Floats]:
         first, second = np.zeros(3), np.zeros((3, 3))
         squared = np.exp(2 * strain)
-        add_energy_derivatives(law.kind, coefficients, 2.0, squared, np.sqrt(np.prod(squared)), first, second)
+        add_energy_derivatives(
+            number_of(law.energy), coefficients, 2.0, squared, np.sqrt(np.prod(squared)), first, second
+        )
         return first, second
 
     strain = np.log(np.array(stretches))
@@ -198,7 +200,7 @@ def test_the_neo_hookean_kernel_and_the_general_one_agree() -> None:
     fast, general = model.system(), model.system()
     laws = model.laws
     assert model.assemble(u, p, fast) == assemble_principal(
-        u, p, model.tets, model.gradients, model.volumes, laws.kinds, laws.coefficients, laws.fractions,
+        u, p, model.tets, model.gradients, model.volumes, laws.numbers, laws.coefficients, laws.fractions,
         model.pattern.block_of, True, general.force, general.node_volume, general.blocks,
     )  # fmt: skip
     for a, b in (
@@ -276,7 +278,7 @@ def test_st_venant_kirchhoff_follows_its_curve_up_to_its_limit_and_no_further() 
 
 def test_st_venant_kirchhoff_is_refused_by_its_stretch(monkeypatch: pytest.MonkeyPatch) -> None:
     """An equilibrium beyond the limit is refused even where the solver finds one."""
-    monkeypatch.setattr(path, "ST_VENANT_KIRCHHOFF_STRETCH", 0.8)
+    monkeypatch.setattr(ElementLaws, "least_stretch", 0.8)
     spec = CompressionSpec(percent=30.0, material=LinearElastic(strain="green_lagrange", poissons_ratio=0.3))
     with pytest.raises(SolverError, match=r"the least is 0\.700") as error:
         compress(jittered_box(), ANY_PHANTOM, spec)
@@ -304,4 +306,4 @@ def test_readings_of_the_papers_alpha() -> None:
 def test_linear_laws_mix_with_their_own_kind_only() -> None:
     with pytest.raises(SolverError, match="cannot be mixed"):
         ElementLaws.of([NeoHookean().law(), SMALL["small"].law()], np.full((1, 2), 0.5))
-    assert SMALL["small"].law().kind is LawKind.SMALL_STRAIN
+    assert SMALL["small"].law().energy.name == "small_strain"

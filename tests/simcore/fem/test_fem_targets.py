@@ -17,11 +17,11 @@ from simcore.core.grid import Grid
 from simcore.fem import CompressionSpec, compress
 from simcore.fem.compression import target_of
 from simcore.fem.contact import Plates
-from simcore.fem.materials.linear_elastic import LinearElastic
-from simcore.fem.materials.neo_hookean import NeoHookean
-from simcore.fem.materials.published import Published
-from simcore.fem.materials.veronda_westmann import VerondaWestmann
-from simcore.fem.materials.wellman import Wellman
+from simcore.fem.laws.linear_elastic import LinearElastic
+from simcore.fem.laws.neo_hookean import NeoHookean
+from simcore.fem.laws.published import Published
+from simcore.fem.laws.veronda_westmann import VerondaWestmann
+from simcore.fem.laws.wellman import Wellman
 from simcore.fem.outcome import FAULTS, REMEDIES, CompressionFailed, message
 from simcore.fem.plate_edge import PlateEdge
 from simcore.fem.summary import shape_summary

@@ -12,10 +12,12 @@ from simcore.core.errors import SolverError
 from simcore.core.grid import Grid
 from simcore.core.tissues import Tissue
 from simcore.fem import CompressionSpec, compress
-from simcore.fem.laws import ElementLaws
-from simcore.fem.materials import ByTissue, LinearElastic, MooneyRivlin, NeoHookean, Published
-from simcore.fem.materials.by_tissue import FALLBACK
-from simcore.fem.materials.published import published_laws
+from simcore.fem.laws.by_tissue import FALLBACK, ByTissue
+from simcore.fem.laws.linear_elastic import LinearElastic
+from simcore.fem.laws.mooney_rivlin import MooneyRivlin
+from simcore.fem.laws.neo_hookean import NeoHookean
+from simcore.fem.laws.of_elements import ElementLaws
+from simcore.fem.laws.published import Published, published_laws
 from simcore.fem.tissues import _sample_points, element_laws, tissue_fractions
 from simcore.mesh.structured import box, half_ellipsoid
 

@@ -12,8 +12,8 @@ from simcore.core.artifacts import Compression, Phantom, TetMesh
 from simcore.core.grid import Grid
 from simcore.core.tissues import Tissue
 from simcore.fem import CompressionSpec, compress, write_vtu
-from simcore.fem.materials.linear_elastic import LinearElastic
-from simcore.fem.materials.neo_hookean import NeoHookean
+from simcore.fem.laws.linear_elastic import LinearElastic
+from simcore.fem.laws.neo_hookean import NeoHookean
 from simcore.mesh.structured import box
 
 BLOCK = (30.0, 40.0, 20.0)

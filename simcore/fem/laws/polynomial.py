@@ -2,10 +2,24 @@
 
 from __future__ import annotations
 
-from typing import Literal
+from typing import Any, ClassVar, Literal
 
 from simcore.core.spec_base import Spec, quantity
-from simcore.fem.materials.law import Law, LawKind, bulk_modulus
+from simcore.fem.laws.law import Energy, InvariantEnergy, Law, bulk_modulus
+
+
+def derivatives(c: Any, a: float, b: float) -> tuple[float, float, float, float, float]:
+    return (
+        c[0] + 2.0 * c[2] * a + c[3] * b,
+        c[1] + c[3] * a + 2.0 * c[4] * b,
+        2.0 * c[2],
+        c[3],
+        2.0 * c[4],
+    )
+
+
+ENERGY = InvariantEnergy("polynomial", derivatives, stresses=(0, 1, 2, 3, 4), stiffens=True)
+"""C10 a + C01 b + C20 a^2 + C11 a b + C02 b^2, c = (C10, C01, C20, C11, C02)."""
 
 
 class Polynomial(Spec):
@@ -15,6 +29,8 @@ class Polynomial(Spec):
     Source: Samani, Plewes, A method to measure the hyperelastic parameters of ex vivo breast tissue samples,
     Phys. Med. Biol. 49 (2004) 4395-4405.
     """
+
+    energies: ClassVar[tuple[Energy, ...]] = (ENERGY,)
 
     kind: Literal["polynomial"] = "polynomial"
     c10_kPa: float = quantity("coefficient of I1 - 3", unit="kPa", gt=0.0, le=1000.0)
@@ -31,4 +47,4 @@ class Polynomial(Spec):
     def law(self) -> Law:
         shear = 2 * (self.c10_kPa + self.c01_kPa)
         coefficients = (self.c10_kPa, self.c01_kPa, self.c20_kPa, self.c11_kPa, self.c02_kPa)
-        return Law(LawKind.POLYNOMIAL, coefficients, shear, bulk_modulus(shear, self.poissons_ratio))
+        return Law(ENERGY, coefficients, shear, bulk_modulus(shear, self.poissons_ratio))

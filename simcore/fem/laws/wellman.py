@@ -2,10 +2,26 @@
 
 from __future__ import annotations
 
-from typing import Literal
+import math
+from typing import Any, ClassVar, Literal
 
 from simcore.core.spec_base import Spec, quantity
-from simcore.fem.materials.law import Law, LawKind, bulk_modulus, shear_modulus
+from simcore.fem.laws.law import Energy, Law, LogarithmicEnergy, bulk_modulus, shear_modulus
+
+_SMALLEST_STRAIN = 1e-8
+
+
+def derivatives(c: Any, equivalent: float) -> tuple[float, float]:
+    s = 1.0 - math.exp(-equivalent)
+    stress = c[0] / c[1] * math.expm1(c[1] * s)
+    slope = (c[0] * math.exp(c[1] * s) * (1.0 - s) - stress) * (1.0 - s)
+    secant = stress * (1.0 - s) / equivalent if equivalent > _SMALLEST_STRAIN else c[0]
+    return secant, slope
+
+
+ENERGY = LogarithmicEnergy("wellman", derivatives, stiffens=True)
+"""f' = E/m (exp(m s) - 1) (1 - s), s = 1 - exp(-eq), c = (E, m). A uniaxial, volume-preserving stretch lambda has
+eq = |ln lambda|, so f' / lambda is the nominal stress at the nominal compression s = 1 - lambda."""
 
 
 class Wellman(Spec):
@@ -15,6 +31,8 @@ class Wellman(Spec):
     eq = sqrt(2/3) |ln of the isochoric stretches|, s = 1 - exp(-eq), plus kappa U(J).
     Source: Wellman, Tactile imaging, PhD thesis, Harvard University (1999).
     """
+
+    energies: ClassVar[tuple[Energy, ...]] = (ENERGY,)
 
     kind: Literal["wellman"] = "wellman"
     youngs_modulus_kPa: float = quantity("Young's modulus b at small strain", unit="kPa", gt=0.0, le=5000.0)
@@ -28,4 +46,4 @@ class Wellman(Spec):
     def law(self) -> Law:
         shear = shear_modulus(self.youngs_modulus_kPa, self.poissons_ratio)
         # 3 mu instead of b, so that b is Young's modulus at any Poisson's ratio.
-        return Law(LawKind.WELLMAN, (3 * shear, self.exponent), shear, bulk_modulus(shear, self.poissons_ratio))
+        return Law(ENERGY, (3 * shear, self.exponent), shear, bulk_modulus(shear, self.poissons_ratio))

@@ -2,14 +2,22 @@
 
 from __future__ import annotations
 
-from typing import Literal
+from typing import Any, ClassVar, Literal
 
 from simcore.core.spec_base import Spec, quantity
-from simcore.fem.materials.law import Law, LawKind, bulk_modulus, shear_modulus
+from simcore.fem.laws.law import Energy, InvariantEnergy, Law, bulk_modulus, shear_modulus
 
 PAPER_ALPHA_KPA = 10.1
 PAPER_LINEAR_FIT_KPA = 48.6
 AlphaReading = Literal["uniaxial", "linear_fit", "equibiaxial"]
+
+
+def derivatives(c: Any, a: float, b: float) -> tuple[float, float, float, float, float]:
+    return c[0] / 2.0, 0.0, 0.0, 0.0, 0.0
+
+
+ENERGY = InvariantEnergy("neo_hookean", derivatives)
+"""mu/2 (I1 - 3), c = (mu,)."""
 
 
 class NeoHookean(Spec):
@@ -18,6 +26,8 @@ class NeoHookean(Spec):
     The paper gives alpha = 10.1 kPa in sigma = alpha ((1 + eps)^2 + (1 + eps)^-4). Read as E = 6 alpha = 60.6 kPa it
     comes nearest to the paper's forces; E = 48.6 kPa is the paper's linear fit (Bakic 1998).
     """
+
+    energies: ClassVar[tuple[Energy, ...]] = (ENERGY,)
 
     kind: Literal["neo_hookean"] = "neo_hookean"
     youngs_modulus_kPa: float = quantity("Young's modulus at small strain", unit="kPa", default=60.6, gt=0.0, le=5000.0)
@@ -44,4 +54,4 @@ class NeoHookean(Spec):
 
     def law(self) -> Law:
         shear = shear_modulus(self.youngs_modulus_kPa, self.poissons_ratio)
-        return Law(LawKind.NEO_HOOKEAN, (shear,), shear, bulk_modulus(shear, self.poissons_ratio))
+        return Law(ENERGY, (shear,), shear, bulk_modulus(shear, self.poissons_ratio))

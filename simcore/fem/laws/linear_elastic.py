@@ -2,21 +2,29 @@
 
 from __future__ import annotations
 
-from typing import Literal
+from typing import Any, ClassVar, Literal
 
 from pydantic import Field
 
 from simcore.core.spec_base import Spec, quantity
-from simcore.fem.materials.law import Law, LawKind, bulk_modulus, shear_modulus
+from simcore.fem.laws.law import Energy, Law, LinearEnergy, LogarithmicEnergy, bulk_modulus, shear_modulus
 
 ST_VENANT_KIRCHHOFF_STRETCH = 3**-0.5
 """Principal stretch, 0.577, below which St. Venant-Kirchhoff's stress falls while it is compressed further."""
 
-_KINDS = {
-    "hencky": LawKind.HENCKY,
-    "small": LawKind.SMALL_STRAIN,
-    "green_lagrange": LawKind.ST_VENANT_KIRCHHOFF,
+
+def hencky_derivatives(c: Any, equivalent: float) -> tuple[float, float]:
+    return 3.0 * c[0], 3.0 * c[0]
+
+
+ENERGIES = {
+    "hencky": LogarithmicEnergy("hencky", hencky_derivatives, softens=True),
+    "small": LinearEnergy("small_strain", None, softens=True),
+    "green_lagrange": LinearEnergy(
+        "st_venant_kirchhoff", None, softens=True, least_stretch=ST_VENANT_KIRCHHOFF_STRETCH, large=True
+    ),
 }
+"""mu |dev of the strain|^2, c = (mu,); Hencky's is 3/2 mu eq^2."""
 
 
 class LinearElastic(Spec):
@@ -27,6 +35,8 @@ class LinearElastic(Spec):
     where a principal stretch falls below 0.577, its limit point in compression.
     Source: Anand, On H. Hencky's approximate strain-energy function, J. Appl. Mech. 46 (1979).
     """
+
+    energies: ClassVar[tuple[Energy, ...]] = tuple(ENERGIES.values())
 
     kind: Literal["linear_elastic"] = "linear_elastic"
     strain: Literal["hencky", "small", "green_lagrange"] = Field(
@@ -41,4 +51,4 @@ class LinearElastic(Spec):
 
     def law(self) -> Law:
         shear = shear_modulus(self.youngs_modulus_kPa, self.poissons_ratio)
-        return Law(_KINDS[self.strain], (shear,), shear, bulk_modulus(shear, self.poissons_ratio))
+        return Law(ENERGIES[self.strain], (shear,), shear, bulk_modulus(shear, self.poissons_ratio))

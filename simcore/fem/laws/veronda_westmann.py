@@ -2,10 +2,20 @@
 
 from __future__ import annotations
 
-from typing import Literal
+import math
+from typing import Any, ClassVar, Literal
 
 from simcore.core.spec_base import Spec, quantity
-from simcore.fem.materials.law import Law, LawKind, bulk_modulus, shear_modulus
+from simcore.fem.laws.law import Energy, InvariantEnergy, Law, bulk_modulus, shear_modulus
+
+
+def derivatives(c: Any, a: float, b: float) -> tuple[float, float, float, float, float]:
+    growth = c[0] * c[1] * math.exp(c[1] * a)
+    return growth, -0.5 * c[0] * c[1], c[1] * growth, 0.0, 0.0
+
+
+ENERGY = InvariantEnergy("veronda_westmann", derivatives, stiffens=True)
+"""C (exp(alpha a) - 1) - C alpha/2 b, c = (C, alpha)."""
 
 
 class VerondaWestmann(Spec):
@@ -14,6 +24,8 @@ class VerondaWestmann(Spec):
 
     Source: Veronda, Westmann, Mechanical characterization of skin: finite deformations, J. Biomech. 3 (1970) 111-124.
     """
+
+    energies: ClassVar[tuple[Energy, ...]] = (ENERGY,)
 
     kind: Literal["veronda_westmann"] = "veronda_westmann"
     youngs_modulus_kPa: float = quantity("Young's modulus at small strain", unit="kPa", gt=0.0, le=5000.0)
@@ -27,4 +39,4 @@ class VerondaWestmann(Spec):
     def law(self) -> Law:
         shear = shear_modulus(self.youngs_modulus_kPa, self.poissons_ratio)
         coefficients = (shear / self.exponent, self.exponent)
-        return Law(LawKind.VERONDA_WESTMANN, coefficients, shear, bulk_modulus(shear, self.poissons_ratio))
+        return Law(ENERGY, coefficients, shear, bulk_modulus(shear, self.poissons_ratio))

@@ -2,10 +2,18 @@
 
 from __future__ import annotations
 
-from typing import Literal
+from typing import Any, ClassVar, Literal
 
 from simcore.core.spec_base import Spec, quantity
-from simcore.fem.materials.law import Law, LawKind, bulk_modulus
+from simcore.fem.laws.law import Energy, InvariantEnergy, Law, bulk_modulus
+
+
+def derivatives(c: Any, a: float, b: float) -> tuple[float, float, float, float, float]:
+    return c[0], c[1], 0.0, 0.0, 0.0
+
+
+ENERGY = InvariantEnergy("mooney_rivlin", derivatives, stresses=(0, 1))
+"""C10 a + C01 b, c = (C10, C01)."""
 
 
 class MooneyRivlin(Spec):
@@ -13,6 +21,8 @@ class MooneyRivlin(Spec):
 
     Source: Rivlin, Large elastic deformations of isotropic materials IV, Phil. Trans. R. Soc. A 241 (1948).
     """
+
+    energies: ClassVar[tuple[Energy, ...]] = (ENERGY,)
 
     kind: Literal["mooney_rivlin"] = "mooney_rivlin"
     c10_kPa: float = quantity("coefficient of I1 - 3", unit="kPa", gt=0.0, le=1000.0)
@@ -26,5 +36,4 @@ class MooneyRivlin(Spec):
 
     def law(self) -> Law:
         shear = 2 * (self.c10_kPa + self.c01_kPa)
-        coefficients = (self.c10_kPa, self.c01_kPa, 0.0, 0.0, 0.0)
-        return Law(LawKind.POLYNOMIAL, coefficients, shear, bulk_modulus(shear, self.poissons_ratio))
+        return Law(ENERGY, (self.c10_kPa, self.c01_kPa), shear, bulk_modulus(shear, self.poissons_ratio))

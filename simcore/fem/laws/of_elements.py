@@ -9,21 +9,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from simcore.core.errors import SolverError
-from simcore.fem.energy import COEFFICIENTS
-from simcore.fem.materials.law import Law, LawKind
+from simcore.fem.laws import neo_hookean
+from simcore.fem.laws.energies import COEFFICIENTS, number_of
+from simcore.fem.laws.law import Energy, Law, LinearEnergy
 
 N_PER_KPA_MM2 = 1e-3
-_STRESS_LIKE = {
-    LawKind.NEO_HOOKEAN: [0],
-    LawKind.POLYNOMIAL: [0, 1, 2, 3, 4],
-    LawKind.VERONDA_WESTMANN: [0],
-    LawKind.HENCKY: [0],
-    LawKind.WELLMAN: [0],
-    LawKind.SMALL_STRAIN: [0],
-    LawKind.ST_VENANT_KIRCHHOFF: [0],
-}
-"""Which coefficients are stresses (kPa to N/mm^2); the others are pure numbers."""
-_LINEAR = (LawKind.SMALL_STRAIN, LawKind.ST_VENANT_KIRCHHOFF)
 
 
 @dataclass(frozen=True, eq=False)
@@ -31,11 +21,12 @@ class ElementLaws:
     """A mixture of laws in every element: the energy is the sum of theirs, weighted with their shares of the volume
     (all see the strain of the element: Voigt's bound, the stiffest mixture).
 
-    kinds: int64 (laws,). coefficients: (laws, COEFFICIENTS), N/mm^2 or 1. fractions: (m, laws), rows sum to 1.
-    shear, bulk: (m,) moduli at small strain, N/mm^2.
+    energies: of the laws. numbers: int64 (laws,), of simcore.fem.laws.energies. coefficients: (laws, COEFFICIENTS),
+    N/mm^2 or 1. fractions: (m, laws), rows sum to 1. shear, bulk: (m,) moduli at small strain, N/mm^2.
     """
 
-    kinds: NDArray[np.int64]
+    energies: tuple[Energy, ...]
+    numbers: NDArray[np.int64]
     coefficients: NDArray[np.float64]
     fractions: NDArray[np.float64]
     shear: NDArray[np.float64]
@@ -44,20 +35,21 @@ class ElementLaws:
     @classmethod
     def of(cls, laws: Sequence[Law], fractions: NDArray[np.float64]) -> ElementLaws:
         """fractions: (m, len(laws)). raises: SolverError, code "mixed-strains" """
-        kinds = {law.kind for law in laws}
-        if len(kinds) > 1 and kinds & set(_LINEAR):
+        energies = tuple(law.energy for law in laws)
+        if len(set(energies)) > 1 and any(isinstance(energy, LinearEnergy) for energy in energies):
             raise SolverError(
-                f"laws {', '.join(sorted(k.name.lower() for k in kinds))} cannot be mixed: small strain and "
+                f"laws {', '.join(sorted({energy.name for energy in energies}))} cannot be mixed: small strain and "
                 "St. Venant-Kirchhoff only go with their own kind",
                 code="mixed-strains",
             )
         coefficients = np.zeros((len(laws), COEFFICIENTS))
         for row, law in zip(coefficients, laws, strict=True):
             row[: len(law.coefficients)] = law.coefficients
-            row[_STRESS_LIKE[law.kind]] *= N_PER_KPA_MM2
+            row[list(law.energy.stresses)] *= N_PER_KPA_MM2
         fractions = np.ascontiguousarray(fractions, dtype=np.float64)
         return cls(
-            kinds=np.array([law.kind for law in laws], dtype=np.int64),
+            energies=energies,
+            numbers=np.array([number_of(energy) for energy in energies], dtype=np.int64),
             coefficients=coefficients,
             fractions=fractions,
             shear=fractions @ np.array([law.shear for law in laws]) * N_PER_KPA_MM2,
@@ -72,13 +64,15 @@ class ElementLaws:
     @property
     def neo_hookean(self) -> bool:
         """Whether the shear moduli say it all (a mixture of neo-Hookean laws is one again)."""
-        return bool((self.kinds == LawKind.NEO_HOOKEAN).all())
+        return all(energy is neo_hookean.ENERGY for energy in self.energies)
 
     @property
-    def linear_strain(self) -> bool:
-        """Whether the volume enters by the trace of a strain instead of det F."""
-        return bool(np.isin(self.kinds, _LINEAR).all())
+    def linear(self) -> LinearEnergy | None:
+        """The one energy of a strain whose trace is the change of volume; None where det F is the ratio of volumes."""
+        energy = self.energies[0]
+        return energy if isinstance(energy, LinearEnergy) else None
 
     @property
-    def st_venant_kirchhoff(self) -> bool:
-        return bool((self.kinds == LawKind.ST_VENANT_KIRCHHOFF).all())
+    def least_stretch(self) -> float:
+        """Principal stretch that the laws do not stand; 0 where they stand every one."""
+        return max(energy.least_stretch for energy in self.energies)

@@ -10,9 +10,9 @@ from pydantic import Field, TypeAdapter
 
 from simcore.core.spec_base import Spec
 from simcore.core.tissues import Tissue
-from simcore.fem.materials.by_tissue import with_fallbacks
-from simcore.fem.materials.law import Law
-from simcore.fem.materials.plain import PlainLaw
+from simcore.fem.laws.by_tissue import with_fallbacks
+from simcore.fem.laws.law import Law
+from simcore.fem.laws.plain import PlainLaw
 
 _PLAIN: TypeAdapter[Any] = TypeAdapter(PlainLaw)
 

@@ -8,9 +8,9 @@ from pydantic import Field
 
 from simcore.core.spec_base import Spec
 from simcore.core.tissues import Tissue
-from simcore.fem.materials.law import Law
-from simcore.fem.materials.neo_hookean import NeoHookean
-from simcore.fem.materials.plain import PlainLaw
+from simcore.fem.laws.law import Law
+from simcore.fem.laws.neo_hookean import NeoHookean
+from simcore.fem.laws.plain import PlainLaw
 
 FALLBACK = {
     Tissue.AIR: Tissue.SKIN,
