@@ -10,7 +10,7 @@ from scipy.sparse import bsr_matrix, coo_matrix, csc_matrix
 from scipy.sparse.linalg import splu
 
 from bench._bodies import Floats
-from simcore.fem.model import Model, System
+from simcore.fem.elements.model import Model, System
 
 _MAX_NEWTON = 30
 

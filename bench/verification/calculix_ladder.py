@@ -23,9 +23,9 @@ from bench.verification.exact import MATERIAL
 from simcore.core.artifacts import Compression, TetMesh
 from simcore.fem import CompressionSpec, compress
 from simcore.fem.compression import solver_of
-from simcore.fem.contact import Contact
-from simcore.fem.model import Model
-from simcore.fem.path import Target, follow
+from simcore.fem.elements.model import Model
+from simcore.fem.newton.path import Target, follow
+from simcore.fem.plates.contact import Contact
 from simcore.mesh.structured import half_ellipsoid
 
 SPEC = CompressionSpec(percent=50.0, material=MATERIAL, tolerance=1e-7)

@@ -12,10 +12,10 @@ from bench.verification.check import Check, absolute, at_least, relative
 from bench.verification.closed_forms import hertz, piola_stress, uniaxial
 from simcore.core.artifacts import TetMesh
 from simcore.fem import CompressionSpec, compress
+from simcore.fem.elements.model import Model
 from simcore.fem.laws.law import Law
 from simcore.fem.laws.neo_hookean import NeoHookean
 from simcore.fem.laws.of_elements import ElementLaws
-from simcore.fem.model import Model
 from simcore.mesh.quality import boundary_faces, volumes
 from simcore.mesh.structured import box
 

@@ -14,7 +14,7 @@ from bench._bodies import C_CUP, ONE_TISSUE, Floats
 from bench.verification.check import Check, relative
 from bench.verification.exact import MATERIAL
 from simcore.fem import CompressionSpec, compress
-from simcore.fem.plate_bending import BendingPlate
+from simcore.fem.plates.bending import BendingPlate
 from simcore.fem.spec import ElasticPlates
 from simcore.mesh.structured import half_ellipsoid
 

@@ -26,8 +26,8 @@ def compress(mesh: TetMesh, phantom: Phantom, spec: CompressionSpec, progress: P
     phantom: the labels the mesh was made from; laws that differ from tissue to tissue read them.
     spec: wanted compression, materials, plates, chest wall.
     returns: Compression; forces in N. The plates have moved by the same distance towards the middle.
-    raises: SolverError with what to change; on the way of the plates it is a simcore.fem.outcome.CompressionFailed with
-    the last good state. Codes: simcore.fem.outcome.FAULTS, "no-chest-wall", "mixed-strains".
+    raises: SolverError with what to change; on the way of the plates a simcore.fem.newton.outcome.CompressionFailed
+    with the last good state. Codes: simcore.fem.newton.outcome.FAULTS, "no-chest-wall", "mixed-strains", "no-muscle".
     """
     # Here and not above: the specification is read where nothing may load compiled code.
     from simcore.fem.compression import compress_mesh
@@ -49,6 +49,6 @@ def write_vtu(
     ``material`` (that of the compression): cauchy_stress_kPa (nine components), von_mises_stress_kPa, and at the
     nodes pressure_kPa, positive in compression. Single precision.
     """
-    from simcore.fem.vtu import write_mesh
+    from simcore.fem.report.vtu import write_mesh
 
     write_mesh(path, mesh, compression, phantom, material)

@@ -10,9 +10,9 @@ from numpy.typing import NDArray
 from simcore.core.artifacts import Phantom, TetMesh
 from simcore.core.errors import SpecError
 from simcore.core.tissues import Tissue
-from simcore.fem.contact import Contact
-from simcore.fem.linear import Guard
-from simcore.fem.plate_edge import PlateEdge
+from simcore.fem.linear.tangent import Guard
+from simcore.fem.plates.contact import Contact
+from simcore.fem.plates.edge import PlateEdge
 from simcore.fem.spec import CompressionSpec
 from simcore.fem.tissues import tissue_fractions
 

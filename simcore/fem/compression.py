@@ -11,14 +11,14 @@ from simcore.core.artifacts import Compression, Phantom, TetMesh
 from simcore.core.errors import SolverError
 from simcore.core.progress import Progress, part
 from simcore.fem.chest_wall import Support
-from simcore.fem.friction import Friction
-from simcore.fem.model import Model
-from simcore.fem.path import Target, follow
-from simcore.fem.plate_bending import BendingPlate
-from simcore.fem.plate_edge import PlateEdge
-from simcore.fem.press import ElasticPress, Press, RigidPress, SpringPress
-from simcore.fem.report import report, verify
-from simcore.fem.solver import Solver
+from simcore.fem.elements.model import Model
+from simcore.fem.newton.path import Target, follow
+from simcore.fem.newton.press import ElasticPress, Press, RigidPress, SpringPress
+from simcore.fem.newton.solver import Solver
+from simcore.fem.plates.bending import BendingPlate
+from simcore.fem.plates.edge import PlateEdge
+from simcore.fem.plates.friction import Friction
+from simcore.fem.report.report import report, verify
 from simcore.fem.spec import MOST_PERCENT, CompressionSpec
 from simcore.fem.tissues import element_laws
 

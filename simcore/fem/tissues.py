@@ -2,17 +2,20 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
 from simcore.core.artifacts import Phantom, TetMesh
 from simcore.core.tissues import MAX_TISSUES, Tissue
-from simcore.fem.element import Array
 from simcore.fem.laws import MaterialSpec
 from simcore.fem.laws.by_tissue import ByTissue
 from simcore.fem.laws.of_elements import ElementLaws
 from simcore.fem.laws.published import Published
+
+Array = NDArray[Any]
 
 SUBDIVISIONS = 2
 """A tetrahedron is sampled at the centres of its 8^SUBDIVISIONS parts of equal volume."""

@@ -7,12 +7,6 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-
-from simcore import presets
-from simcore.core.spec_base import Spec
-from simcore.core.store import Store
-from simcore.core.tissues import Tissue
-from simcore.dicom.spec import ExportSpec
 from simcore.fem.materials.by_tissue import ByTissue
 from simcore.fem.materials.linear_elastic import LinearElastic
 from simcore.fem.materials.mooney_rivlin import MooneyRivlin
@@ -20,6 +14,12 @@ from simcore.fem.materials.polynomial import Polynomial
 from simcore.fem.materials.published import Published
 from simcore.fem.materials.veronda_westmann import VerondaWestmann
 from simcore.fem.materials.wellman import Wellman
+
+from simcore import presets
+from simcore.core.spec_base import Spec
+from simcore.core.store import Store
+from simcore.core.tissues import Tissue
+from simcore.dicom.spec import ExportSpec
 from simcore.fem.spec import ElasticPlates, Gravity, SkinMembrane, SpringPaddle
 from simcore.mesh.spec import LatticeMesh
 from simcore.phantom.lesions import CalcificationCluster, Mass

@@ -13,10 +13,12 @@ from typing import Any
 
 import numpy as np
 from numba import njit
+from numpy.typing import NDArray
 
-from simcore.fem.element import Array
 from simcore.fem.laws.law import Energy, InvariantEnergy, LinearEnergy, LogarithmicEnergy
 from simcore.fem.laws.plain import ENERGIES
+
+Array = NDArray[Any]
 
 COEFFICIENTS = 5
 """The most that a law has."""

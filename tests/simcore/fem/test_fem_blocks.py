@@ -10,7 +10,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from simcore.fem import blocks as b
-from simcore.fem.model import Pattern
+from simcore.fem.elements.model import Pattern
 from simcore.mesh.structured import box
 
 

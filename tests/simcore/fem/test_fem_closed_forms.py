@@ -10,14 +10,14 @@ from scipy.optimize import brentq
 from simcore.core.artifacts import Phantom, TetMesh
 from simcore.core.grid import Grid
 from simcore.fem import CompressionSpec, compress
-from simcore.fem.constraints import Constraints
-from simcore.fem.contact import Contact, Plates
+from simcore.fem.elements.model import Model
 from simcore.fem.laws.neo_hookean import NeoHookean
 from simcore.fem.laws.of_elements import ElementLaws
-from simcore.fem.linear import Guard, Tangent
-from simcore.fem.model import Model
-from simcore.fem.path import Target, follow
-from simcore.fem.solver import Solver, State
+from simcore.fem.linear.tangent import Guard, Tangent
+from simcore.fem.newton.path import Target, follow
+from simcore.fem.newton.solver import Solver, State
+from simcore.fem.plates.constraints import Constraints
+from simcore.fem.plates.contact import Contact, Plates
 from simcore.mesh.quality import boundary_faces
 from simcore.mesh.structured import box
 

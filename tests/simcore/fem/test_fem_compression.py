@@ -12,14 +12,15 @@ import pytest
 from simcore.core.artifacts import Compression, Phantom, TetMesh
 from simcore.core.errors import Cancelled, SolverError
 from simcore.core.grid import Grid
-from simcore.fem import CompressionSpec, compress, solver
-from simcore.fem.contact import LOWER, UPPER, Contact, Plates
+from simcore.fem import CompressionSpec, compress
+from simcore.fem.elements.model import Model
 from simcore.fem.laws.neo_hookean import NeoHookean
 from simcore.fem.laws.of_elements import ElementLaws
-from simcore.fem.linear import Guard
-from simcore.fem.model import Model
-from simcore.fem.path import Solution, Target, follow
-from simcore.fem.report import verify
+from simcore.fem.linear.tangent import Guard
+from simcore.fem.newton import solver
+from simcore.fem.newton.path import Solution, Target, follow
+from simcore.fem.plates.contact import LOWER, UPPER, Contact, Plates
+from simcore.fem.report.report import verify
 from simcore.mesh.structured import half_ellipsoid
 
 ANY_PHANTOM = Phantom(np.ones((1, 1, 1), np.uint8), Grid((1, 1, 1), (1.0, 1.0, 1.0), (0.0, 0.0, 0.0)))
@@ -143,7 +144,7 @@ def test_a_step_that_fails_is_halved(mesh: TetMesh, halved: Compression, monkeyp
 
 def test_failure_says_what_to_change(mesh: TetMesh, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(solver, "MAX_NEWTON", 1)
-    with pytest.raises(SolverError, match=r"did not converge.*smaller percent, more load_steps") as error:
+    with pytest.raises(SolverError, match=r"did not converge.*take a smaller percent, a finer mesh") as error:
         compress(mesh, ANY_PHANTOM, SPEC)
     assert error.value.code == "not-converged"
     monkeypatch.setattr(solver, "SHORTEST_STEP", 2.0)

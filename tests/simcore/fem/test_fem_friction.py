@@ -8,14 +8,14 @@ import pytest
 from simcore.core.artifacts import Phantom, TetMesh
 from simcore.core.grid import Grid
 from simcore.fem import CompressionSpec, compress
-from simcore.fem.contact import FREE, LOWER, UPPER, Contact, Plates
-from simcore.fem.friction import STICK_MM, Friction
+from simcore.fem.elements.model import Model
 from simcore.fem.laws.neo_hookean import NeoHookean
 from simcore.fem.laws.of_elements import ElementLaws
-from simcore.fem.linear import Guard
-from simcore.fem.model import Model
-from simcore.fem.path import Solution, Target, follow
-from simcore.fem.solver import Solver
+from simcore.fem.linear.tangent import Guard
+from simcore.fem.newton.path import Solution, Target, follow
+from simcore.fem.newton.solver import Solver
+from simcore.fem.plates.contact import FREE, LOWER, UPPER, Contact, Plates
+from simcore.fem.plates.friction import STICK_MM, Friction
 from simcore.mesh.structured import box, half_ellipsoid
 
 ANY_PHANTOM = Phantom(np.ones((1, 1, 1), np.uint8), Grid((1, 1, 1), (1.0, 1.0, 1.0), (0.0, 0.0, 0.0)))

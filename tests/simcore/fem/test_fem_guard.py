@@ -11,15 +11,15 @@ from bench import percents
 from bench._bodies import ONE_TISSUE
 from simcore.core.artifacts import TetMesh
 from simcore.core.errors import SolverError
-from simcore.fem import CompressionSpec, compress, linear
+from simcore.fem import CompressionSpec, compress
 from simcore.fem.compression import solver_of
-from simcore.fem.constraints import Constraints
-from simcore.fem.contact import Contact, Plates
-from simcore.fem.linear import Guard, Tangent
-from simcore.fem.outcome import CompressionFailed
-from simcore.fem.path import Solution, Target, follow
-from simcore.fem.report import verify
-from simcore.fem.solver import Solver
+from simcore.fem.linear.tangent import MAX_ITERATIONS, Guard, Solved, Tangent
+from simcore.fem.newton.outcome import CompressionFailed
+from simcore.fem.newton.path import Solution, Target, follow
+from simcore.fem.newton.solver import Solver
+from simcore.fem.plates.constraints import Constraints
+from simcore.fem.plates.contact import Contact, Plates
+from simcore.fem.report.report import verify
 from simcore.mesh import build
 from simcore.mesh.spec import LatticeMesh
 from simcore.mesh.structured import half_ellipsoid
@@ -105,11 +105,11 @@ def test_a_compression_whose_linear_systems_are_not_solved_has_a_name(
 ) -> None:
     solve = Tangent.solve
 
-    def limited(self: Tangent, *args: object) -> linear.Solved:
+    def limited(self: Tangent, *args: object) -> Solved:
         return solve(self, *args, max_iterations=3)  # type: ignore[arg-type]
 
     monkeypatch.setattr(Tangent, "solve", limited)
-    with pytest.raises(CompressionFailed, match=f"within {linear.MAX_ITERATIONS} iterations") as error:
+    with pytest.raises(CompressionFailed, match=f"within {MAX_ITERATIONS} iterations") as error:
         compress(mesh, ONE_TISSUE, CompressionSpec(percent=40.0))
     assert error.value.code == "linear-system"
 

@@ -14,6 +14,8 @@ from simcore.core.artifacts import Phantom, TetMesh
 from simcore.core.errors import SolverError
 from simcore.core.grid import Grid
 from simcore.fem import CompressionSpec, compress
+from simcore.fem.elements.model import Model
+from simcore.fem.elements.principal import assemble_principal, principal_axes
 from simcore.fem.laws.energies import COEFFICIENTS, add_energy_derivatives, number_of
 from simcore.fem.laws.law import Law
 from simcore.fem.laws.linear_elastic import LinearElastic
@@ -23,8 +25,6 @@ from simcore.fem.laws.of_elements import ElementLaws
 from simcore.fem.laws.polynomial import Polynomial
 from simcore.fem.laws.veronda_westmann import VerondaWestmann
 from simcore.fem.laws.wellman import Wellman
-from simcore.fem.model import Model
-from simcore.fem.principal import assemble_principal, principal_axes
 from simcore.mesh.structured import box
 
 ANY_PHANTOM = Phantom(np.ones((1, 1, 1), np.uint8), Grid((1, 1, 1), (1.0, 1.0, 1.0), (0.0, 0.0, 0.0)))

@@ -10,9 +10,9 @@ from simcore.core.artifacts import Compression, Phantom, TetMesh
 from simcore.core.grid import Grid
 from simcore.fem import CompressionSpec, compress
 from simcore.fem.compression import press_of, solver_of
-from simcore.fem.contact import LOWER, UPPER, Contact, Plates
-from simcore.fem.path import Solution, Target, follow
-from simcore.fem.plate_bending import BendingPlate
+from simcore.fem.newton.path import Solution, Target, follow
+from simcore.fem.plates.bending import BendingPlate
+from simcore.fem.plates.contact import LOWER, UPPER, Contact, Plates
 from simcore.fem.spec import ElasticPlates, SpringPaddle
 from simcore.mesh.structured import half_ellipsoid
 

@@ -10,10 +10,10 @@ from scipy.spatial import ConvexHull
 from simcore.core.artifacts import Phantom
 from simcore.core.grid import Grid
 from simcore.fem import CompressionSpec, compress
+from simcore.fem.elements.membrane import Membrane
+from simcore.fem.elements.model import Model
 from simcore.fem.laws.neo_hookean import NeoHookean
 from simcore.fem.laws.of_elements import ElementLaws
-from simcore.fem.membrane import Membrane
-from simcore.fem.model import Model
 from simcore.fem.spec import Gravity, SkinMembrane
 from simcore.mesh.structured import box, half_ellipsoid
 

@@ -9,11 +9,11 @@ from simcore.core.artifacts import Phantom, TetMesh
 from simcore.core.grid import Grid
 from simcore.fem import CompressionSpec, compress
 from simcore.fem.compression import press_of, solver_of, target_of
-from simcore.fem.constraints import Constraints
-from simcore.fem.contact import Contact
-from simcore.fem.outcome import CompressionFailed
-from simcore.fem.path import follow
-from simcore.fem.solver import Solver
+from simcore.fem.newton.outcome import CompressionFailed
+from simcore.fem.newton.path import follow
+from simcore.fem.newton.solver import Solver
+from simcore.fem.plates.constraints import Constraints
+from simcore.fem.plates.contact import Contact
 from simcore.mesh.structured import half_ellipsoid
 
 ANY_PHANTOM = Phantom(np.ones((1, 1, 1), np.uint8), Grid((1, 1, 1), (1.0, 1.0, 1.0), (0.0, 0.0, 0.0)))

@@ -16,15 +16,15 @@ from simcore.core.errors import SolverError
 from simcore.core.grid import Grid
 from simcore.fem import CompressionSpec, compress
 from simcore.fem.compression import target_of
-from simcore.fem.contact import Plates
 from simcore.fem.laws.linear_elastic import LinearElastic
 from simcore.fem.laws.neo_hookean import NeoHookean
 from simcore.fem.laws.published import Published
 from simcore.fem.laws.veronda_westmann import VerondaWestmann
 from simcore.fem.laws.wellman import Wellman
-from simcore.fem.outcome import FAULTS, REMEDIES, CompressionFailed, message
-from simcore.fem.plate_edge import PlateEdge
-from simcore.fem.summary import shape_summary
+from simcore.fem.newton.outcome import FAULTS, REMEDIES, CompressionFailed, message
+from simcore.fem.plates.contact import Plates
+from simcore.fem.plates.edge import PlateEdge
+from simcore.fem.report.summary import shape_summary
 from simcore.mesh.structured import box, half_ellipsoid
 
 ANY_PHANTOM = Phantom(np.ones((1, 1, 1), np.uint8), Grid((1, 1, 1), (1.0, 1.0, 1.0), (0.0, 0.0, 0.0)))

@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 
 from simcore.core.artifacts import Compression, Phantom, TetMesh
 from simcore.core.tissues import Tissue
-from simcore.fem.fields import Strain, Stress
 from simcore.fem.laws import MaterialSpec
+from simcore.fem.report.fields import Strain, Stress
 from simcore.fem.tissues import element_laws, tissue_fractions
 
 

@@ -10,13 +10,13 @@ from numba import njit
 from numpy.typing import NDArray
 
 from simcore.core.artifacts import TetMesh
-from simcore.fem.assembly import assemble_neo_hookean
 from simcore.fem.blocks import empty as aligned
-from simcore.fem.element import Array, shape_gradients
+from simcore.fem.elements.geometry import Array, shape_gradients
+from simcore.fem.elements.linear_strain import assemble_linear_strain
+from simcore.fem.elements.membrane import Membrane
+from simcore.fem.elements.neo_hookean import assemble_neo_hookean
+from simcore.fem.elements.principal import assemble_principal
 from simcore.fem.laws.of_elements import ElementLaws
-from simcore.fem.linear_strain import assemble_linear_strain
-from simcore.fem.membrane import Membrane
-from simcore.fem.principal import assemble_principal
 
 Floats = NDArray[np.float64]
 

@@ -7,9 +7,9 @@ from numba import njit
 from numpy.typing import NDArray
 
 from simcore.core.artifacts import Report
-from simcore.fem.element import Array, cross
-from simcore.fem.model import Floats, Model
-from simcore.fem.strain import principal_stretches
+from simcore.fem.elements.geometry import Array, cross
+from simcore.fem.elements.model import Floats, Model
+from simcore.fem.elements.strain import principal_stretches
 
 PERCENTILES = (1, 50, 99)
 

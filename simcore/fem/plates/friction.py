@@ -14,8 +14,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from simcore.fem.contact import FREE, LOWER, UPPER, Contact, Plates
-from simcore.fem.model import Floats
+from simcore.fem.elements.model import Floats
+from simcore.fem.plates.contact import FREE, LOWER, UPPER, Contact, Plates
 
 STICK_MM = 0.05
 

@@ -17,7 +17,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from simcore.fem.element import Array
+from simcore.fem.elements.geometry import Array
 
 _PAIRS = [(a, b) for a in range(3) for b in range(a, 3)]
 
@@ -81,7 +81,7 @@ class Membrane:
         blocks: NDArray[Any],
     ) -> None:
         """Adds the membrane's nodal forces (n, 3), N, and its tangent to ``blocks`` (blocks, 4, 4), see
-        simcore.fem.model.System."""
+        simcore.fem.elements.model.System."""
         _add_membrane(
             displacement, nodes, self.triangles, self.gradients, self.areas * self.tension, self.block_of,
             with_tangent, force, blocks,

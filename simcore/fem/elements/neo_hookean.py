@@ -18,7 +18,7 @@ import numpy as np
 from numba import njit
 
 from simcore.fem.blocks import add, in_columns, in_rows, on_diagonal, plus, row_of, times, times_plus
-from simcore.fem.element import Array, cofactors, deformation
+from simcore.fem.elements.geometry import Array, cofactors, deformation
 
 
 @njit(cache=True, nogil=True)
@@ -39,7 +39,7 @@ def assemble_neo_hookean(
 
     shear_moduli: (m,), N/mm^2.
     force: (n, 3), N. node_volume: (n,) deformed volume around the nodes, mm^3.
-    blocks: of simcore.fem.model.System. with_tangent: False leaves them alone.
+    blocks: of simcore.fem.elements.model.System. with_tangent: False leaves them alone.
     returns: the smallest det F; at the first one that is not positive it stops with that value.
     """
     force[:] = 0.0

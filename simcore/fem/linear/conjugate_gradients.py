@@ -44,7 +44,7 @@ _RZ, _CURVATURE, _GUARDED = 0, 2, 3
 
 class Operator(NamedTuple):
     """Upper half storage. row_start: int32 (n + 1,). column: int32 (m,). blocks: float32 (m, 4, 4), of
-    simcore.fem.linear.Tangent, N/mm (the last row and column mm^2). coupling: float32 (m, 2, 4), dR_a/dp_b and
+    simcore.fem.linear.tangent.Tangent, N/mm (the last row and column mm^2). coupling: float32 (m, 2, 4), dR_a/dp_b and
     dR_b/dp_a, mm^2, the last component 0. compliance: float32 (n,), N/mm^5.
     first: int32 (PARTS + 1,), rows of the parts. reach: int32 (PARTS,), one more than the last row a part adds to."""
 

@@ -13,7 +13,7 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
-from simcore.fem.element import Array, deformation_gradient, inverse_transpose
+from simcore.fem.elements.geometry import Array, deformation_gradient, inverse_transpose
 from simcore.fem.laws.energies import add_energy_derivatives
 
 _EQUAL = 1e-5
@@ -36,7 +36,7 @@ def assemble_principal(
     node_volume: Array,
     blocks: Array,
 ) -> float:
-    """As simcore.fem.assembly.assemble_neo_hookean, for a mixture of laws in each element.
+    """As simcore.fem.elements.neo_hookean.assemble_neo_hookean, for a mixture of laws in each element.
 
     numbers: int64 (laws,), of simcore.fem.laws.energies. coefficients: (laws, COEFFICIENTS), N/mm^2 or 1.
     fractions: (m, laws), shares of the volume.

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from simcore.fem.contact import FREE, UPPER, Contact, Plates
+from simcore.fem.plates.contact import FREE, UPPER, Contact, Plates
 
 Floats = NDArray[np.float64]
 

@@ -14,8 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from simcore.fem.contact import Plates
-from simcore.fem.model import Floats
+from simcore.fem.elements.model import Floats
+from simcore.fem.plates.contact import Plates
 
 RISE = 1.5
 """Rise of a plate at the wall, relative to the height of the wall's rim above the flat part: skin leaves the plate

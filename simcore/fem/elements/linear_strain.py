@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
-from simcore.fem.element import Array, deformation_gradient
+from simcore.fem.elements.geometry import Array, deformation_gradient
 
 
 @njit(cache=True, nogil=True)
@@ -27,7 +27,7 @@ def assemble_linear_strain(
     node_volume: Array,
     blocks: Array,
 ) -> float:
-    """As simcore.fem.assembly.assemble_neo_hookean; ``node_volume`` is that of 1 + tr(E) instead of J.
+    """As simcore.fem.elements.neo_hookean.assemble_neo_hookean; ``node_volume`` is that of 1 + tr(E) instead of J.
 
     large: Green-Lagrange strain. returns: 1 (small strain asks nothing of det F), or the smallest det F where large.
     """

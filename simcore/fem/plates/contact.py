@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from simcore.fem.model import Floats
+from simcore.fem.elements.model import Floats
 
 FREE, UPPER, LOWER = 0, 1, 2
 PENETRATION_MM = 1e-9

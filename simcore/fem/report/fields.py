@@ -7,8 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from simcore.core.artifacts import TetMesh
+from simcore.fem.elements.model import Floats, Model
 from simcore.fem.laws.of_elements import N_PER_KPA_MM2, ElementLaws
-from simcore.fem.model import Floats, Model
 
 
 @dataclass(frozen=True, eq=False)

@@ -7,14 +7,14 @@ from numpy.typing import NDArray
 
 from simcore.core.artifacts import Report, TetMesh
 from simcore.core.errors import SolverError
-from simcore.fem.constraints import Constraints
-from simcore.fem.contact import LOWER, MAX_PULL, UPPER, Plates
-from simcore.fem.element import volume_ratios
-from simcore.fem.friction import STICK_MM
-from simcore.fem.model import Floats
-from simcore.fem.path import Solution
-from simcore.fem.solver import GAP_MM, Solver
-from simcore.fem.summary import shape_summary, strain_summary
+from simcore.fem.elements.geometry import volume_ratios
+from simcore.fem.elements.model import Floats
+from simcore.fem.newton.path import Solution
+from simcore.fem.newton.solver import GAP_MM, Solver
+from simcore.fem.plates.constraints import Constraints
+from simcore.fem.plates.contact import LOWER, MAX_PULL, UPPER, Plates
+from simcore.fem.plates.friction import STICK_MM
+from simcore.fem.report.summary import shape_summary, strain_summary
 
 _BALANCE = 1e-3
 _DRIFT_MM = 1e-6

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
-from simcore.fem.element import Array
+from simcore.fem.elements.geometry import Array
 
 
 @njit(cache=True, nogil=True)
@@ -37,7 +37,7 @@ def invert_diagonal(
     """Inverses of the 3x3 diagonal blocks of K + B C^-1 B^T in the free directions, zero in the others: what they
     leave of a vector has no part in the directions that are not free.
 
-    blocks: of simcore.fem.linear.Tangent. out: float32 (n, 4, 4), the last row and column 0.
+    blocks: of simcore.fem.linear.tangent.Tangent. out: float32 (n, 4, 4), the last row and column 0.
     """
     n = row_start.shape[0] - 1
     M = np.zeros((n, 3, 3))

@@ -8,12 +8,12 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from simcore.fem.constraints import Constraints
-from simcore.fem.contact import FREE, MAX_PULL, Contact, Plates
-from simcore.fem.element import keeps_volume
-from simcore.fem.friction import Friction, Slip
-from simcore.fem.linear import Guard, Tangent
-from simcore.fem.model import Floats, Model, System
+from simcore.fem.elements.geometry import keeps_volume
+from simcore.fem.elements.model import Floats, Model, System
+from simcore.fem.linear.tangent import Guard, Tangent
+from simcore.fem.plates.constraints import Constraints
+from simcore.fem.plates.contact import FREE, MAX_PULL, Contact, Plates
+from simcore.fem.plates.friction import Friction, Slip
 
 MAX_NEWTON = 30
 GAP_MM = 1e-6

@@ -8,14 +8,14 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from simcore.core.progress import Progress, silent
-from simcore.fem import solver as newton
-from simcore.fem.contact import Contact
-from simcore.fem.linear import MAX_ITERATIONS
-from simcore.fem.outcome import CompressionFailed, message
-from simcore.fem.press import Press, RigidPress
-from simcore.fem.solver import Counters, LoadStep, Solver, State, StepFailed
+from simcore.fem.elements.strain import principal_stretches
+from simcore.fem.linear.tangent import MAX_ITERATIONS
+from simcore.fem.newton import solver as newton
+from simcore.fem.newton.outcome import CompressionFailed, message
+from simcore.fem.newton.press import Press, RigidPress
+from simcore.fem.newton.solver import Counters, LoadStep, Solver, State, StepFailed
+from simcore.fem.plates.contact import Contact
 from simcore.fem.spec import CompressionSpec
-from simcore.fem.strain import principal_stretches
 
 SMALLEST_LOAD_STEP = 0.2
 """Percent of the uncompressed thickness."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
-from simcore.fem.element import Array, deformation
+from simcore.fem.elements.geometry import Array, deformation
 
 
 @njit(cache=True, nogil=True)

@@ -9,11 +9,11 @@ from typing import Protocol
 
 import numpy as np
 
-from simcore.fem.contact import LOWER, UPPER, Plates
-from simcore.fem.model import Floats
-from simcore.fem.plate_bending import BendingPlate
-from simcore.fem.plate_edge import PlateEdge
-from simcore.fem.solver import LoadStep, Solver, State, StepFailed
+from simcore.fem.elements.model import Floats
+from simcore.fem.newton.solver import LoadStep, Solver, State, StepFailed
+from simcore.fem.plates.bending import BendingPlate
+from simcore.fem.plates.contact import LOWER, UPPER, Plates
+from simcore.fem.plates.edge import PlateEdge
 
 Report = Callable[[int, float], None]
 

@@ -1,0 +1,1 @@
+"""The tangent, and linear systems with it."""

@@ -1,0 +1,1 @@
+"""The plates and what touches them: active set, friction, edges, bending."""

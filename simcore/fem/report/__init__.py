@@ -1,0 +1,1 @@
+"""What a compression tells: checks of the final state, facts, fields, VTU."""
