@@ -238,6 +238,8 @@ def _submit(args: argparse.Namespace) -> int:
     with Client(args.url) as client:
         case = client.submit(spec)
         print(f"{client.url}{case.links['self']}", flush=True)
+        for remark in case.estimate.remarks:
+            print(f"tomosim: {remark}", file=sys.stderr)
         if not (args.wait or args.out):
             return 0
         try:

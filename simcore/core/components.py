@@ -58,7 +58,7 @@ class Components:
         self._count = 0
         self._plane = 0
         self._edge: NDArray[np.int32] | None = None
-        self._pairs: list[NDArray[np.int32]] = []
+        self._pairs: list[Indices] = []
         self._parts: list[tuple[Indices, Indices, Indices, NDArray[np.float64]]] = []
 
     def add(self, mask: NDArray[np.bool_]) -> NDArray[np.int32]:
@@ -91,7 +91,7 @@ class Components:
         if not self._count:
             none = np.empty(0, np.int64)
             return Extents(np.array([-1]), none, none.reshape(0, 3), none.reshape(0, 3), np.empty((0, 3)))
-        pairs = np.concatenate([np.empty((0, 2), np.int32), *self._pairs]).astype(np.int64) - 1
+        pairs = np.concatenate([np.empty((0, 2), np.int64), *self._pairs]) - 1
         ones = np.ones(len(pairs), np.int8)
         graph = csr_matrix((ones, (pairs[:, 0], pairs[:, 1])), shape=(self._count, self._count))
         total, found = connected_components(graph, directed=False)
@@ -134,5 +134,7 @@ class Components:
             here = plane[max(dy, 0) : rows + min(dy, 0), max(dx, 0) : columns + min(dx, 0)]
             there = self._edge[max(-dy, 0) : rows + min(-dy, 0), max(-dx, 0) : columns + min(-dx, 0)]
             both = (here > 0) & (there > 0)
-            if both.any():
-                self._pairs.append(np.unique(np.stack([there[both], here[both]], axis=1), axis=0))
+            keys = (there[both].astype(np.int64) << 32) | here[both]
+            if len(keys):  # long runs of the same pair, mostly
+                keys = np.unique(keys[np.concatenate([[True], keys[1:] != keys[:-1]])])
+                self._pairs.append(np.stack([keys >> 32, keys & 0xFFFFFFFF], axis=1))

@@ -14,7 +14,7 @@ from simcore import phantom
 from simcore.core.errors import SpecError
 from simcore.core.store import Store
 from simcore.core.tissues import Tissue
-from simcore.phantom.upload import lesions, registry, segments, tissue_maps
+from simcore.phantom.upload import decoding, lesions, registry, segments, tissue_maps
 from simcore.phantom.upload.reading import Reading
 from simcore.phantom.upload.spec import UploadedPhantom
 
@@ -206,3 +206,24 @@ def test_a_slice_is_no_breast_to_be_compressed(axis: int, name: str, store: Stor
     one = np.take(breast(), [middle[axis]], axis)
     with pytest.raises(SpecError, match=rf"the tissue is 1 voxel along {name}; .*at least 4 along every axis"):
         added(store, tmp_path, one, confirm_size=True)
+
+
+def test_what_is_seen_does_not_depend_on_the_blocks_in_which_a_file_is_read(
+    store: Store, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    labels = np.pad(breast(), ((2, 3), (0, 20), (0, 6)))
+    labels[12:14, 70:73, 40:42] = 1
+    labels[22:26, 20:26, 8:12] = 200
+    labels[17, 30, 8] = 250
+    seen = []
+    for piece in (1 << 20, 20_000, 1000):  # many planes, few, and some rows of one
+        monkeypatch.setattr(decoding, "PIECE", piece)
+        upload = added(store, tmp_path, labels)
+        seen.append((upload.contents, upload.remarks, upload.phantom, upload.ends))
+    assert seen[0] == seen[1] == seen[2]
+    assert seen[0][1] == (
+        "left out: 1 piece beside the breast, 0.0405 ml in all", "lesions: 1 mass, 1 single calcification",
+    )  # fmt: skip
+    own = np.where(breast() == 29, 2, np.where(breast() > 0, 1, 0)).astype(np.uint8)
+    with pytest.raises(SpecError, match="its skin lies inside"):
+        added(store, tmp_path, own)
