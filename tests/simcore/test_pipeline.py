@@ -64,6 +64,21 @@ def test_the_manifest_tells_what_was_done(first):
     json.dumps(first.manifest)
 
 
+def test_a_report_without_lesions_is_told_to_be_left_out(first, tmp_path):
+    """It was asked for; the study holds no lesion to report."""
+    assert first.manifest["results"]["left_out"] == {"lesions.dcm": "the volume holds no lesion"}
+    asked = SPEC.with_(export=SPEC.export.with_(extra_objects=["report"]))
+    again = pipeline.run(asked, first.store)
+    assert again.manifest["results"]["left_out"] == dict.fromkeys(
+        ["lesions.dcm", "report.dcm"], "the volume holds no lesion"
+    )
+    assert "report.dcm" not in again.manifest["files"]
+    spotted = SPEC.phantom.with_(lesions=(Mass(),))
+    found = pipeline.run(asked.with_(phantom=spotted), first.store)
+    assert "left_out" not in found.manifest["results"]
+    assert {"report.dcm", "lesions.dcm", "truth.csv", "file_paths.csv"} <= set(found.manifest["files"])
+
+
 def test_all_files_are_written(first, tmp_path):
     first.write(tmp_path)
     names = set(digests(tmp_path))
