@@ -40,6 +40,7 @@ from simcore.projection.signal import pixel_values
 from simcore.reconstruction import FilteredBackprojection, reconstruct
 from simcore.reconstruction.algebraic import algebraic_correction
 from simcore.reconstruction.backprojection import backproject_quantised, plan_backprojection
+from simcore.reconstruction.body import Body
 from simcore.reconstruction.extent import volume_grid
 from simcore.reconstruction.iterative import Measurement, subsets_of
 from simcore.reconstruction.operators import backproject, crossings_of, project_slices
@@ -62,12 +63,12 @@ def main() -> int:
     scene = cup_c(args.scale)
     geometry = chosen_views(scene.geometry, args.views)
     spec = FilteredBackprojection(slice_mm=args.slice_mm)
-    grid = volume_grid(geometry, spec, scene.thickness_mm)
+    grid = volume_grid(geometry, spec, Body(scene.thickness_mm))
     rays = grid.size * geometry.views
     voxels = compared_voxels(geometry, grid, args.rounds)
     stack, integrals = acquired(scene, geometry)
     filtered = compared_fbp(stack, integrals, grid, spec, scene.thickness_mm, args.rounds)
-    cubes = volume_grid(geometry, spec.with_(pixel_mm=args.slice_mm), scene.thickness_mm)
+    cubes = volume_grid(geometry, spec.with_(pixel_mm=args.slice_mm), Body(scene.thickness_mm))
     pair = compared_pair(geometry, grid, cubes)
     iteration = compared_sart(integrals, grid, geometry, args.rounds)
     print(

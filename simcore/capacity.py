@@ -16,6 +16,7 @@ from simcore.core.grid import Grid
 from simcore.dicom.limits import MAX_BYTES, pixel_bytes
 from simcore.phantom.upload.spec import UploadedPhantom
 from simcore.projection.acquisition import geometry_of
+from simcore.reconstruction.body import Body
 from simcore.reconstruction.extent import SHADOW_MARGIN_MM, in_region, volume_grid, within
 from simcore.reconstruction.spec import RegionSpec
 from simcore.spec import SimulationSpec
@@ -54,7 +55,8 @@ def predicted_grid(spec: SimulationSpec, extent: Extent, whole: bool = False) ->
     raises: SpecError where the region holds no voxel.
     """
     asked, geometry = spec.reconstruction, geometry_of(spec.acquisition)
-    grid = volume_grid(geometry, asked, _thickness(spec, extent))
+    beyond = beyond_plates(spec, extent)
+    grid = volume_grid(geometry, asked, Body(_thickness(spec, extent), beyond, beyond))
     try:
         if asked.field == "breast":
             low, high = _breast_box(spec, grid, extent)
@@ -75,6 +77,15 @@ def _thickness(spec: SimulationSpec, extent: Extent) -> float:
     """Distance of the plates, mm: told for an uploaded phantom, else predicted."""
     told = spec.phantom.thickness_mm if isinstance(spec.phantom, UploadedPhantom) else None
     return extent[2] if told is None else told
+
+
+def beyond_plates(spec: SimulationSpec, extent: Extent) -> float:
+    """How far the breast reaches beyond either plate, mm, where its chest wall is held and the plates are not: by their
+    way. Where the way is not known before, the least it can be."""
+    if spec.phantom.compressed or spec.compression.chest_wall == "free_in_plane":
+        return 0.0
+    _, _, upper, lower = spec.phantom.semi_axes()
+    return max(upper + lower - extent[2], 0.0) / 2
 
 
 def _breast_box(spec: SimulationSpec, grid: Grid, extent: Extent) -> tuple[Any, Any]:

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from pydantic import BaseModel, Field
 
 from simcore import unused
-from simcore.capacity import SHADOW_MARGIN, check_objects, predicted_grid
+from simcore.capacity import SHADOW_MARGIN, beyond_plates, check_objects, predicted_grid
 from simcore.core.errors import GeometryError, ResourceLimitError, SpecError
 from simcore.core.memory import physical_bytes
 from simcore.phantom.upload.spec import UploadedPhantom
@@ -85,7 +85,8 @@ def estimate(spec: SimulationSpec) -> Estimate:
     """Memory, bytes and seconds; good to some 20 %."""
     before = spec.phantom.voxels
     cx, cy, cz = compressed_extent(spec)
-    after = cx * cy * cz / spec.phantom.voxel_volume_mm3
+    height = cz + 2 * beyond_plates(spec, (cx, cy, cz))
+    after = cx * cy * height / spec.phantom.voxel_volume_mm3
     a = spec.acquisition
     pixels = a.detector.pixels_x * a.detector.pixels_y
     grid = predicted_grid(spec, (cx, cy, cz))
@@ -108,7 +109,7 @@ def estimate(spec: SimulationSpec) -> Estimate:
     output = 4 * stack + 2 * volume + 0.02 * volume + 5e6 + sum(further.get(e, 0) for e in spec.export.extra_objects)
     storage = output + 0.05 * (before + after) + 2 * stack + (2 * volume if spec.reconstruction.is_kept else 0)
     seconds = 2.0 + (before + 2 * after) / 150e6 + mesh_seconds + stack * 8e-8 + worked * a.views * 1e-9 + output / 3e8
-    seconds += pixels * (rays * _view_seconds(spec, cz) - a.views * SECONDS_PER_RAY["planes"])
+    seconds += pixels * (rays * _view_seconds(spec, height) - a.views * SECONDS_PER_RAY["planes"])
     return Estimate(
         voxels=int(before),
         memory_bytes=int(memory),
@@ -184,7 +185,18 @@ def _check_geometry(spec: SimulationSpec) -> None:
     if a.angular_range_degrees == 0:
         _refuse("acquisition.angular_range_degrees", 0.0, "a volume needs views at different angles: more than 0")
     depth, width, thickness = compressed_extent(spec)
-    top = a.air_gap_mm + thickness + a.paddle_mm
+    beyond = beyond_plates(spec, (depth, width, thickness))
+    top = a.air_gap_mm + thickness + max(beyond, a.paddle_mm)
+    # The stage looks at the voxels, which may be one more; an uploaded breast may be thicker than its wall is high.
+    voxel = math.cbrt(spec.phantom.voxel_volume_mm3)
+    if a.air_gap_mm < beyond - voxel and spec.phantom.kind == "anthropomorphic":
+        _refuse(
+            "acquisition.air_gap_mm",
+            a.air_gap_mm,
+            f"with compression.chest_wall = {spec.compression.chest_wall!r} the breast keeps its height there and "
+            f"hangs {beyond:.1f} mm below the breast support: at least "
+            f"{math.ceil(beyond + voxel)}, or a smaller compression",
+        )
     heights = (a.air_gap_mm + thickness / 2, a.air_gap_mm + thickness)
     if a.trajectory is not None:
         _check_trajectory(spec, top)

@@ -40,7 +40,7 @@ VERSIONS = {
     **dict.fromkeys(STAGES, 1),
     "phantom": 3,
     "fem": 3,
-    "warp": 2,
+    "warp": 3,
     "projection": 3,
     "reconstruction": 2,
     "dicom": 5,
@@ -112,7 +112,8 @@ def _stages(case: Run, spec: SimulationSpec) -> None:
 
         def made(progress: Progress = no_progress) -> Volume:
             thickness = compressed.artifact.thickness
-            return reconstruction.reconstruct(stack.artifact, spec.reconstruction, thickness, progress)
+            below, above = warped.record.report.get("beyond_plates_mm", (0.0, 0.0))
+            return reconstruction.reconstruct(stack.artifact, spec.reconstruction, thickness, progress, (below, above))
 
         def reconstructed(progress: Progress) -> Volume:
             fresh = made(progress)
@@ -355,7 +356,13 @@ def _results(reports: dict[str, Report]) -> Report:
         "phantom": ("volume_ml", "glandularity", "compartments", "tissue_ml"),
         "mesh": ("tets", "nodes"),
         "fem": ("force_N", "thickness_mm", "uncompressed_thickness_mm", "min_det_F", "volume_change"),
-        "warp": ("tissue_before_ml", "tissue_after_ml"),
+        "warp": (
+            "volume_after_ml",
+            "tissue_before_ml",
+            "tissue_after_ml",
+            "lesion_objects",
+            "beyond_plates_mm",
+        ),
         "projection": ("truncated",),
         "dicom": ("left_out", "notes"),
     }

@@ -264,9 +264,22 @@ def _summary(manifest: dict[str, Any], out: Path) -> None:
     force = f"force {results['force_N']:.1f} N, " if "force_N" in results else ""
     print(
         f"{out}: {force}thickness {results['thickness_mm']:.1f} mm, "
-        f"volume {results['volume_ml']:.1f} ml, glandularity {100 * results['glandularity']:.1f} %; "
+        f"volume {results['volume_ml']:.1f} ml{_compressed_volume(results)}, "
+        f"glandularity {100 * results['glandularity']:.1f} %; "
         f"{computed} of {len(manifest['stages'])} stages computed, {manifest['seconds']:.1f} s"
     )
+
+
+def _compressed_volume(results: dict[str, Any]) -> str:
+    """What is left of the volume between the plates and beyond, and what became of small lesions where one was not
+    kept apart; nothing for a phantom that was compressed elsewhere."""
+    if "volume_after_ml" not in results:
+        return ""
+    counts = results.get("lesion_objects", {}).values()
+    lesions = {word: sum(c[word] for c in counts) for word in ("merged", "lost")}
+    notes = [f"{results['volume_after_ml']:.1f} ml compressed"]
+    notes += [f"{number} small lesions {word}" for word, number in lesions.items() if number]
+    return f" ({', '.join(notes)})"
 
 
 def _presets(args: argparse.Namespace) -> None:

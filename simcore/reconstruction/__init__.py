@@ -4,21 +4,27 @@ from __future__ import annotations
 
 from simcore.core.artifacts import ProjectionStack, Volume
 from simcore.core.progress import Progress, silent
+from simcore.reconstruction.body import Body
 from simcore.reconstruction.spec import FilteredBackprojection, ReconstructionSpec
 
 __all__ = ["FilteredBackprojection", "ReconstructionSpec", "reconstruct"]
 
 
 def reconstruct(
-    stack: ProjectionStack, spec: ReconstructionSpec, thickness_mm: float, progress: Progress = silent
+    stack: ProjectionStack,
+    spec: ReconstructionSpec,
+    thickness_mm: float,
+    progress: Progress = silent,
+    beyond_mm: tuple[float, float] = (0.0, 0.0),
 ) -> Volume:
-    """Attenuation coefficients between the breast support and the compression paddle.
+    """Attenuation coefficients between the breast support and the compression paddle, and where there is tissue beyond.
 
     stack: detector signal of every view, uint16 (views, ny, nx).
     spec: which reconstruction, its slices and filters, and how the values are stored.
     thickness_mm: height of the compressed breast, mm: slices fill [support_height, support_height + thickness_mm].
+    beyond_mm: how far tissue reaches below the support and above the paddle, mm: there are slices for it, too.
     progress: called with a fraction in [0, 1] and a message.
     returns: Volume in the detector frame, uint16 (nz, ny, nx); attenuation [1/mm] = slope * data + intercept.
     raises: GeometryError where the views do not span an angle, the slices reach the source, or a region holds no voxel.
     """
-    return spec.reconstruct(stack, thickness_mm, progress)
+    return spec.reconstruct(stack, Body(thickness_mm, *beyond_mm), progress)

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from simcore.core.artifacts import ProjectionStack, Volume
 from simcore.core.progress import Progress, silent
+from simcore.reconstruction.body import Body
 from simcore.reconstruction.corrections import algebraic_residuals, correct_by_sums
 from simcore.reconstruction.iterative import Correction, Measurement, iterate
 from simcore.reconstruction.kinds.sart import Sart
@@ -24,7 +25,7 @@ def algebraic_reconstruction(
     stack: ProjectionStack,
     spec: Sart | Sirt,
     views_per_subset: int,
-    thickness_mm: float,
+    body: Body,
     progress: Progress = silent,
 ) -> Volume:
     """See ``simcore.reconstruction.reconstruct``. report: misfit, sum of (residual)^2 / row sum before every pass.
@@ -36,7 +37,7 @@ def algebraic_reconstruction(
         spec,
         spec.iterations,
         views_per_subset,
-        thickness_mm,
+        body,
         lambda measurement: algebraic_correction(measurement, spec.relaxation, spec.non_negative),
         progress,
     )

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from math import ceil
+from math import ceil, floor
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,26 +10,29 @@ from numpy.typing import NDArray
 from simcore.core.errors import GeometryError
 from simcore.core.geometry import AcquisitionGeometry
 from simcore.core.grid import Grid
+from simcore.reconstruction.body import Body
 from simcore.reconstruction.kinds.common import RegionSpec, VolumeSpec
 
 SHADOW_MARGIN_MM = 2.0
 """So much more than what all views see of the breast is reconstructed where its box is asked for."""
 
 
-def volume_grid(geometry: AcquisitionGeometry, spec: VolumeSpec, thickness_mm: float) -> Grid:
-    """Slices from the breast support upwards over the area of the detector; the last may pass the paddle.
+def volume_grid(geometry: AcquisitionGeometry, spec: VolumeSpec, body: Body) -> Grid:
+    """Slices from the breast support upwards over the area of the detector; the last may pass the paddle. Where tissue
+    reaches beyond the plates there are more of them, but none below the detector.
 
     raises: GeometryError for a thickness that is not positive.
     """
-    if not thickness_mm > 0:
-        raise GeometryError(f"thickness of the breast is {thickness_mm} mm; it must be above 0 mm")
+    if not body.thickness > 0:
+        raise GeometryError(f"thickness of the breast is {body.thickness} mm; it must be above 0 mm")
     detector = geometry.detector
     pixel = detector.pixel if spec.pixel_mm is None else spec.pixel_mm
     # The margin keeps 60 mm / 1 mm at 60 slices where the quotient is rounded upwards.
     nx = ceil(detector.nx * detector.pixel / pixel - 1e-6)
     ny = ceil(detector.ny * detector.pixel / pixel - 1e-6)
-    nz = ceil(thickness_mm / spec.slice_mm - 1e-6)
-    corner = (0.0, -ny * pixel / 2, geometry.support_height)
+    below = min(ceil(body.below / spec.slice_mm - 1e-6), floor(geometry.support_height / spec.slice_mm + 1e-6))
+    nz = below + ceil((body.thickness + body.above) / spec.slice_mm - 1e-6)
+    corner = (0.0, -ny * pixel / 2, geometry.support_height - below * spec.slice_mm)
     return Grid((nz, ny, nx), (pixel, pixel, spec.slice_mm), corner)
 
 

@@ -16,6 +16,7 @@ from simcore.core.geometry import AcquisitionGeometry
 from simcore.core.grid import Grid
 from simcore.core.progress import Progress, part, silent
 from simcore.reconstruction.backprojection import plan_backprojection
+from simcore.reconstruction.body import Body
 from simcore.reconstruction.edges import Profile, thickness_profile
 from simcore.reconstruction.extent import volume_grid
 from simcore.reconstruction.filters import (
@@ -38,7 +39,7 @@ COLUMNS = 64
 
 
 def filtered_backprojection(
-    stack: ProjectionStack, spec: FilteredBackprojection, thickness_mm: float, progress: Progress = silent
+    stack: ProjectionStack, spec: FilteredBackprojection, body: Body, progress: Progress = silent
 ) -> Volume:
     """See ``simcore.reconstruction.reconstruct``; formulas and normalisation stand in ``filters``.
 
@@ -48,13 +49,13 @@ def filtered_backprojection(
     the centre it changes with depth, as the fans of the missing views do not cancel.
     """
     geometry = stack.geometry
-    whole = volume_grid(geometry, spec, thickness_mm)
+    whole = volume_grid(geometry, spec, body)
     check(geometry, whole)
     grid = wanted_grid(stack, spec, whole)
     plan = plan_backprojection(geometry, grid)
     if spec.filter == "none":
         plan = replace(plan, weight=np.ones_like(plan.weight))
-    filtered = filtered_views(stack, spec, whole, thickness_mm, seen_columns(plan, grid), part(progress, 0.0, 0.35))
+    filtered = filtered_views(stack, spec, whole, body.thickness, seen_columns(plan, grid), part(progress, 0.0, 0.35))
     return backprojected_volume(filtered, plan, grid, spec, part(progress, 0.35, 1.0))
 
 

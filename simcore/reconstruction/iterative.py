@@ -18,6 +18,7 @@ from simcore.core.geometry import AcquisitionGeometry, Detector
 from simcore.core.grid import Grid
 from simcore.core.progress import Progress, part, silent
 from simcore.reconstruction.backprojection import quantise_slices
+from simcore.reconstruction.body import Body
 from simcore.reconstruction.extent import volume_grid
 from simcore.reconstruction.fbp import check
 from simcore.reconstruction.grids import breast_grid, wanted_grid
@@ -61,7 +62,7 @@ def iterate(
     spec: IterativeSpec,
     iterations: int,
     views_per_subset: int,
-    thickness_mm: float,
+    body: Body,
     corrected_by: Callable[[Measurement], Correction],
     progress: Progress = silent,
 ) -> Volume:
@@ -71,11 +72,11 @@ def iterate(
     returns: see ``simcore.reconstruction.reconstruct``; report: misfit before every iteration, and why it ended.
     """
     geometry = stack.geometry
-    whole = volume_grid(geometry, spec, thickness_mm)
+    whole = volume_grid(geometry, spec, body)
     check(geometry, whole, in_plane=False)
     measurement = measure(stack, breast_grid(stack, whole))
     correct = corrected_by(measurement)
-    volume = _start(stack, spec, thickness_mm, measurement.grid, part(progress, 0.0, 0.1))
+    volume = _start(stack, spec, body, measurement.grid, part(progress, 0.0, 0.1))
     subsets = subsets_of(geometry.angles, views_per_subset)
     misfits: list[float] = []
     ended = "iterations"
@@ -136,15 +137,13 @@ def subsets_of(angles: NDArray[np.float64], size: int) -> list[NDArray[np.int64]
     return [order[(n * stride) % count :: count] for n in range(count)]
 
 
-def _start(
-    stack: ProjectionStack, spec: IterativeSpec, thickness_mm: float, grid: Grid, progress: Progress
-) -> FloatArray:
+def _start(stack: ProjectionStack, spec: IterativeSpec, body: Body, grid: Grid, progress: Progress) -> FloatArray:
     """The volume that the iteration starts from, float32 (nz, ny, nx) on ``grid``."""
     if spec.start == "zero":
         return np.zeros(grid.shape, np.float32)
     kind = Backprojection if spec.start == "backprojection" else FilteredBackprojection
     first = kind(slice_mm=spec.slice_mm, pixel_mm=spec.pixel_mm, field="breast")
-    volume = first.reconstruct(stack, thickness_mm, progress)
+    volume = first.reconstruct(stack, body, progress)
     start = volume.data.astype(np.float32)
     start *= np.float32(volume.slope)
     start += np.float32(volume.intercept)

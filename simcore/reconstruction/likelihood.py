@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 from simcore.core.artifacts import ProjectionStack, Volume
 from simcore.core.progress import Progress, silent
+from simcore.reconstruction.body import Body
 from simcore.reconstruction.corrections import correct_by_curvature, likelihood_terms
 from simcore.reconstruction.iterative import Correction, Measurement, iterate
 from simcore.reconstruction.kinds.ml import MaximumLikelihood
@@ -27,7 +28,7 @@ FloatArray = NDArray[np.float32]
 
 
 def maximum_likelihood(
-    stack: ProjectionStack, spec: MaximumLikelihood, thickness_mm: float, progress: Progress = silent
+    stack: ProjectionStack, spec: MaximumLikelihood, body: Body, progress: Progress = silent
 ) -> Volume:
     """See ``simcore.reconstruction.reconstruct``. report: misfit, the distance of the log-likelihood from that of the
     measured values themselves before every pass, per quantum of the open beam.
@@ -39,7 +40,7 @@ def maximum_likelihood(
         spec,
         spec.iterations,
         spec.views_per_subset or stack.geometry.views,
-        thickness_mm,
+        body,
         lambda measurement: likelihood_correction(measurement, spec.relaxation, spec.non_negative),
         progress,
     )

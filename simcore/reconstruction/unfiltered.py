@@ -12,6 +12,7 @@ from simcore.core.geometry import AcquisitionGeometry
 from simcore.core.grid import Grid
 from simcore.core.progress import Progress, part, silent
 from simcore.reconstruction.backprojection import BackprojectionPlan, plan_backprojection
+from simcore.reconstruction.body import Body
 from simcore.reconstruction.extent import volume_grid
 from simcore.reconstruction.fbp import check
 from simcore.reconstruction.filters import chord_weights
@@ -24,7 +25,7 @@ FloatArray = NDArray[np.float32]
 
 
 def unfiltered_backprojection(
-    stack: ProjectionStack, spec: Backprojection, thickness_mm: float, progress: Progress = silent
+    stack: ProjectionStack, spec: Backprojection, body: Body, progress: Progress = silent
 ) -> Volume:
     """See ``simcore.reconstruction.reconstruct``.
 
@@ -33,13 +34,13 @@ def unfiltered_backprojection(
     the volume comes out with its own attenuation.
     """
     geometry = stack.geometry
-    whole = volume_grid(geometry, spec, thickness_mm)
+    whole = volume_grid(geometry, spec, body)
     check(geometry, whole)
     grid = wanted_grid(stack, spec, whole)
     plan = plan_backprojection(geometry, grid) if spec.method == "simple" else plan_shift_and_add(geometry, grid)
     plan = replace(plan, weight=np.full_like(plan.weight, 1.0 / geometry.views))
     columns = min(lit_columns(stack) if geometry.stationary else geometry.detector.nx, seen_columns(plan, grid))
-    means = mean_attenuation(stack, columns, thickness_mm, part(progress, 0.0, 0.2))
+    means = mean_attenuation(stack, columns, body.thickness, part(progress, 0.0, 0.2))
     return backprojected_volume(means, plan, grid, spec, part(progress, 0.2, 1.0))
 
 

@@ -38,8 +38,8 @@ class Pieces:
     bounds: NDArray[np.int64]
 
 
-def interior(maps: TetMaps, grid: Grid, levels: int) -> Pieces:
-    """The tetrahedra themselves, in the first ``levels`` voxel layers."""
+def interior(maps: TetMaps, grid: Grid) -> Pieces:
+    """The tetrahedra themselves."""
     count = len(maps.corners)
     low = maps.corners.min(axis=1) - TOLERANCE
     high = maps.corners.max(axis=1) + TOLERANCE
@@ -47,12 +47,12 @@ def interior(maps: TetMaps, grid: Grid, levels: int) -> Pieces:
         tet=np.arange(count, dtype=np.int64),
         slack=np.full((count, 4), TOLERANCE),
         outside=np.full(count, -1, dtype=np.int64),
-        bounds=_within(low, high, (levels, *grid.shape[1:])),
+        bounds=_within(low, high, grid.shape),
     )
 
 
-def skirt(mesh: TetMesh, maps: TetMaps, grid: Grid, reach_mm: float, levels: int) -> Pieces:
-    """A layer of ``reach_mm`` on the outer side of every skin face, in the first ``levels`` voxel layers."""
+def skirt(mesh: TetMesh, maps: TetMaps, grid: Grid, reach_mm: float) -> Pieces:
+    """A layer of ``reach_mm`` on the outer side of every skin face."""
     tet, outside = skin_faces(mesh)
     gradient_mm = maps.barycentric[tet][:, :, 1:] / np.array(grid.spacing)
     norm = np.linalg.norm(gradient_mm, axis=2)
@@ -65,7 +65,7 @@ def skirt(mesh: TetMesh, maps: TetMaps, grid: Grid, reach_mm: float, levels: int
         tet=tet,
         slack=slack,
         outside=outside,
-        bounds=_within(face.min(axis=1) - reach, face.max(axis=1) + reach, (levels, *grid.shape[1:])),
+        bounds=_within(face.min(axis=1) - reach, face.max(axis=1) + reach, grid.shape),
     )
 
 

@@ -2,75 +2,92 @@
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 from numpy.typing import NDArray
 
-from simcore.core.artifacts import Compression, Phantom, TetMesh
-from simcore.core.grid import Grid
+from simcore.core.artifacts import Compression, Phantom, Report, TetMesh
 from simcore.core.progress import Progress
 from simcore.core.tissues import Tissue
-from simcore.warp.maps import tet_maps
-from simcore.warp.pieces import interior, skirt
+from simcore.warp.carrying import Carried, carry
+from simcore.warp.maps import TetMaps, tet_maps
+from simcore.warp.objects import components
+from simcore.warp.pieces import FACES, Pieces, interior, skirt
+from simcore.warp.placing import BEYOND_MM, Placing, placing, trimmed, within_plates
+from simcore.warp.points import ForwardMap
 from simcore.warp.raster import census, count_holes, rasterise
 from simcore.warp.spec import WarpSpec
 from simcore.warp.truth import carried
+from simcore.warp.volumes import squeezed
 
 
 def deform_phantom(
     phantom: Phantom, mesh: TetMesh, compression: Compression, spec: WarpSpec, progress: Progress
 ) -> Phantom:
-    """See simcore.warp.deform."""
+    """See simcore.warp.deform; does not look whether tissue is missing."""
     progress(0.0, "maps of the tetrahedra")
     deformed = mesh.nodes + compression.displacement - np.array([0.0, 0.0, compression.plate_z[0]])
-    grid = output_grid(deformed, compression.thickness, spec.skirt_mm, phantom.grid)
-    # A voxel belongs to the breast only if its centre is below the upper plate.
-    levels = math.floor(compression.thickness / grid.spacing[2] + 0.5 + 1e-9)
-    maps = tet_maps(mesh, deformed, grid, phantom.grid)
-    labels = np.zeros(grid.shape, np.uint8)
+    place = placing(deformed, compression.thickness, spec.skirt_mm, phantom.grid)
+    maps = tet_maps(mesh, deformed, place.grid, phantom.grid)
+    forward = ForwardMap.of(mesh, deformed)
+    before = census(phantom.labels)
+    labels = np.zeros(place.grid.shape, np.uint8)
     progress(0.2, "looking up labels")
-    rasterise(interior(maps, grid, levels), maps, phantom.labels, labels)
+    beyond = np.stack([deformed[:, 2] < -BEYOND_MM, deformed[:, 2] > compression.thickness + BEYOND_MM], axis=1)
+    inner = within_plates(interior(maps, place.grid), place, np.asarray(beyond[mesh.tets].any(axis=1)))
+    rasterise(inner, maps, phantom.labels, labels)
     added = 0
     if spec.skirt_mm > 0:
         progress(0.8, "skin outside the mesh")
-        added = rasterise(skirt(mesh, maps, grid, spec.skirt_mm, levels), maps, phantom.labels, labels)
-    counts, before = census(labels), census(phantom.labels)
-    progress(1.0, f"{int(counts[1:].sum())} voxels of tissue")
-    voxel_ml = grid.voxel_volume * 1e-3
+        added = rasterise(_skirt(mesh, maps, place, beyond, spec.skirt_mm), maps, phantom.labels, labels)
+    labels, place = trimmed(labels, place)
+    lesions = carry(phantom, before, mesh, forward, labels, place.grid)
+    after = census(labels)
+    progress(1.0, f"{int(after[1:].sum())} voxels of tissue")
+    voxel_ml, grid = phantom.grid.voxel_volume * 1e-3, place.grid
     return Phantom(
         labels=labels,
         grid=grid,
         truth=carried(phantom.truth, mesh, deformed),
         report={
-            "volume_before_ml": float(before[1:].sum()) * phantom.grid.voxel_volume * 1e-3,
-            "volume_after_ml": float(counts[1:].sum()) * voxel_ml,
-            "tissue_before_ml": _by_name(before, phantom.grid.voxel_volume * 1e-3),
-            "tissue_after_ml": _by_name(counts, voxel_ml),
+            "volume_before_ml": float(before[1:].sum()) * voxel_ml,
+            "volume_after_ml": float(after[1:].sum()) * voxel_ml,
+            "tissue_before_ml": _by_name(before * voxel_ml),
+            "tissue_after_ml": _by_name(after * voxel_ml),
+            "tissue_expected_ml": _by_name(before * voxel_ml * squeezed(phantom, mesh, forward.ratio)),
             "mesh_volume_ml": float(np.sum(1.0 / np.abs(np.linalg.det(maps.barycentric[:, 1:, 1:])))) / 6 * voxel_ml,
             "skirt_ml": int(added) * voxel_ml,
+            "beyond_plates_mm": [place.below_mm, place.above_mm],
+            "lesion_objects": _objects(lesions, labels),
             "holes": count_holes(labels),
             "grid": grid.to_dict(),
         },
     )
 
 
-def output_grid(deformed: NDArray[np.float64], thickness: float, margin_mm: float, source: Grid) -> Grid:
-    """The grid of the compressed phantom, support frame, with the voxel edges of ``source``.
-
-    Its corner is x = 0, z = 0; it is symmetric about y = 0 and reaches from plate to plate. A grid whose voxel centres
-    lie on y = 0 keeps them there.
-    """
-    edge_x, edge_y, edge_z = source.spacing
-    slack = 1e-6
-    nx = max(1, math.ceil((deformed[:, 0].max() + margin_mm) / edge_x - slack))
-    half = (np.abs(deformed[:, 1]).max() + margin_mm) / edge_y - slack
-    centred = abs((source.corner[1] / edge_y) % 1.0 - 0.5) < 0.25
-    ny = 2 * math.ceil(half - 0.5) + 1 if centred else 2 * math.ceil(half)
-    nz = max(1, math.ceil(thickness / edge_z - slack))
-    return Grid((nz, ny, nx), source.spacing, (0.0, -ny * edge_y / 2, 0.0))
+def _skirt(mesh: TetMesh, maps: TetMaps, place: Placing, beyond: NDArray[np.bool_], reach_mm: float) -> Pieces:
+    """Cut at the plates, but for faces that lie beyond them. beyond: (n, 2) of the nodes."""
+    pieces = skirt(mesh, maps, place.grid, reach_mm)
+    faces = mesh.tets[pieces.tet[:, None], FACES[pieces.outside]]
+    return within_plates(pieces, place, np.asarray(beyond[faces].any(axis=1)))
 
 
-def _by_name(counts: NDArray[np.int64], voxel_ml: float) -> dict[str, float]:
+def _objects(lesions: Carried, labels: NDArray[np.uint8]) -> Report:
+    """What became of connected lesions, by tissue: {"before", "after": how many there are, "placed": of them by the
+    forward map, "merged": had to touch another one, "lost": found no place}."""
+    facts: Report = {}
+    for tissue, total in lesions.objects.total.items():
+        _, number = components(labels, tissue)
+        mine = lesions.objects.tissue == tissue
+        facts[tissue.name.lower()] = {
+            "before": total,
+            "after": int(number.max(initial=-1)) + 1,
+            "placed": int(lesions.placed[mine].sum()),
+            "merged": int(lesions.merged[mine].sum()),
+            "lost": int(lesions.lost[mine].sum()),
+        }
+    return facts
+
+
+def _by_name(ml: NDArray[np.floating]) -> dict[str, float]:
     """Volume of every tissue that is there, ml."""
-    return {t.name.lower(): float(counts[t]) * voxel_ml for t in Tissue if t and counts[t]}
+    return {t.name.lower(): float(ml[t]) for t in Tissue if t and ml[t]}

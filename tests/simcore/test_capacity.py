@@ -14,6 +14,7 @@ from simcore.core.errors import ResourceLimitError, SpecError
 from simcore.dicom.limits import MAX_BYTES, pixel_bytes
 from simcore.dicom.run_length import run_length_frame
 from simcore.projection.acquisition import geometry_of
+from simcore.reconstruction.body import Body
 from simcore.reconstruction.extent import volume_grid
 from simcore.reconstruction.grids import breast_grid
 from simcore.spec import SimulationSpec
@@ -167,7 +168,7 @@ def test_the_field_of_the_breast_is_not_predicted_too_small() -> None:
             radius = 1 - (2 * (z - low) / thickness - 1) ** 2
             frames[view][(x / depth) ** 2 + (y[:, None] / (width / 2)) ** 2 < radius] = 1000
     stack = ProjectionStack(frames, 10000.0, geometry)
-    actual = breast_grid(stack, volume_grid(geometry, spec.reconstruction, thickness))
+    actual = breast_grid(stack, volume_grid(geometry, spec.reconstruction, Body(thickness)))
     predicted = predicted_grid(spec, extent)
     assert all(p >= a for p, a in zip(predicted.shape, actual.shape, strict=True))
     assert predicted.size < 1.25 * actual.size

@@ -8,6 +8,7 @@ from pydantic import Field
 
 from simcore.core.artifacts import ProjectionStack, Volume
 from simcore.core.progress import Progress
+from simcore.reconstruction.body import Body
 from simcore.reconstruction.kinds.common import VolumeSpec
 
 
@@ -30,7 +31,7 @@ class Backprojection(VolumeSpec):
     def example(cls) -> Backprojection:
         return cls(method="shift-and-add")
 
-    def reconstruct(self, stack: ProjectionStack, thickness_mm: float, progress: Progress) -> Volume:
+    def reconstruct(self, stack: ProjectionStack, body: Body, progress: Progress) -> Volume:
         from simcore.reconstruction.unfiltered import unfiltered_backprojection
 
-        return unfiltered_backprojection(stack, self, thickness_mm, progress)
+        return unfiltered_backprojection(stack, self, body, progress)

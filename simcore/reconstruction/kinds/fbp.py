@@ -9,6 +9,7 @@ from pydantic import Field
 from simcore.core.artifacts import ProjectionStack, Volume
 from simcore.core.progress import Progress
 from simcore.core.spec_base import quantity
+from simcore.reconstruction.body import Body
 from simcore.reconstruction.kinds.common import VolumeSpec
 
 
@@ -64,7 +65,7 @@ class FilteredBackprojection(VolumeSpec):
     def example(cls) -> FilteredBackprojection:
         return cls(filter="hamming", field="breast")
 
-    def reconstruct(self, stack: ProjectionStack, thickness_mm: float, progress: Progress) -> Volume:
+    def reconstruct(self, stack: ProjectionStack, body: Body, progress: Progress) -> Volume:
         from simcore.reconstruction.fbp import filtered_backprojection
 
-        return filtered_backprojection(stack, self, thickness_mm, progress)
+        return filtered_backprojection(stack, self, body, progress)

@@ -8,6 +8,7 @@ from pydantic import Field
 
 from simcore.core.artifacts import ProjectionStack, Volume
 from simcore.core.progress import Progress
+from simcore.reconstruction.body import Body
 from simcore.reconstruction.kinds.common import IterativeSpec
 
 
@@ -25,7 +26,7 @@ class Sirt(IterativeSpec):
     def example(cls) -> Sirt:
         return cls(iterations=10, start="backprojection", tolerance=0.01)
 
-    def reconstruct(self, stack: ProjectionStack, thickness_mm: float, progress: Progress) -> Volume:
+    def reconstruct(self, stack: ProjectionStack, body: Body, progress: Progress) -> Volume:
         from simcore.reconstruction.algebraic import algebraic_reconstruction
 
-        return algebraic_reconstruction(stack, self, stack.geometry.views, thickness_mm, progress)
+        return algebraic_reconstruction(stack, self, stack.geometry.views, body, progress)

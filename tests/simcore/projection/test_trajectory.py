@@ -22,6 +22,7 @@ from simcore.projection.materials import attenuation_table
 from simcore.projection.plane_prefix import serves
 from simcore.projection.spec import AcquisitionSpec, DetectorPoseSpec, DetectorSpec, PhysicsSpec, SlabSpec, ViewSpec
 from simcore.reconstruction import reconstruct
+from simcore.reconstruction.body import Body
 from simcore.reconstruction.extent import volume_grid
 from simcore.reconstruction.grids import breast_grid
 from simcore.reconstruction.operators import backproject, project_slices
@@ -210,7 +211,7 @@ def test_the_box_of_the_breast_is_the_same_from_detectors_far_below():
     boxes = []
     for poses in ([None] * 3, low):
         stack = project(ball(), listed(*zip(arc.sources.tolist(), poses, strict=True), **wide), PhysicsSpec())
-        boxes.append(breast_grid(stack, volume_grid(stack.geometry, FilteredBackprojection(slice_mm=2.0), 40.0)))
+        boxes.append(breast_grid(stack, volume_grid(stack.geometry, FilteredBackprojection(slice_mm=2.0), Body(40.0))))
     for grid in boxes:
         assert grid.corner[1] < BALL[1] - 6.0 < BALL[1] + 6.0 < grid.upper[1]
         assert BALL[0] + 6.0 < grid.upper[0]

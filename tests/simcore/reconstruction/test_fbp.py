@@ -8,6 +8,7 @@ import pytest
 from simcore.core.errors import Cancelled, GeometryError
 from simcore.core.geometry import AcquisitionGeometry
 from simcore.reconstruction import FilteredBackprojection, reconstruct
+from simcore.reconstruction.body import Body
 from simcore.reconstruction.extent import volume_grid
 
 FINE = FilteredBackprojection(value_slope=1e-6, value_intercept=-0.03)
@@ -142,15 +143,15 @@ def test_views_count_by_the_angle_they_stand_for(make_geometry, acquire):
 
 def test_grid_of_slices(make_geometry):
     geometry = make_geometry(ny=200, nx=80, pixel=0.5)
-    grid = volume_grid(geometry, FilteredBackprojection(slice_mm=0.1), 60.0)
+    grid = volume_grid(geometry, FilteredBackprojection(slice_mm=0.1), Body(60.0))
     assert grid.shape == (600, 200, 80)
-    grid = volume_grid(geometry, FilteredBackprojection(), 60.2)
+    grid = volume_grid(geometry, FilteredBackprojection(), Body(60.2))
     assert grid.shape == (61, 200, 80)
     assert grid.centres("z")[0] == pytest.approx(20.5)
     assert grid.corner == (0.0, -50.0, 20.0)
     np.testing.assert_allclose(grid.centres("x"), geometry.detector.x_centres())
     np.testing.assert_allclose(grid.centres("y"), geometry.detector.y_centres(), atol=1e-12)
-    coarse = volume_grid(geometry, FilteredBackprojection(pixel_mm=0.7), 60.0)
+    coarse = volume_grid(geometry, FilteredBackprojection(pixel_mm=0.7), Body(60.0))
     assert coarse.shape == (60, 143, 58)
     assert coarse.corner == (0.0, pytest.approx(-143 * 0.35), 20.0)
 

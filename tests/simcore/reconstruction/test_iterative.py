@@ -10,6 +10,7 @@ from simcore.core.errors import Cancelled, GeometryError
 from simcore.core.grid import Grid
 from simcore.reconstruction import FilteredBackprojection, reconstruct
 from simcore.reconstruction.algebraic import algebraic_correction
+from simcore.reconstruction.body import Body
 from simcore.reconstruction.extent import volume_grid
 from simcore.reconstruction.grids import breast_grid
 from simcore.reconstruction.iterative import Measurement, measure, subsets_of
@@ -39,7 +40,7 @@ def stack(geometry, acquire):
 
 def consistent(geometry, thickness=20.0, slice_mm=4.0):
     """A measurement that a volume on the very same grid has made, and that volume."""
-    grid = volume_grid(geometry, Sart(slice_mm=slice_mm), thickness)
+    grid = volume_grid(geometry, Sart(slice_mm=slice_mm), Body(thickness))
     z, y, x = np.meshgrid(*(grid.centres(axis) for axis in "zyx"), indexing="ij", sparse=True)
     inside = (x / 24) ** 2 + (y / 18) ** 2 + ((z - 30) / 11) ** 2 < 1
     volume = (inside * (0.02 + 0.01 * (np.hypot(x - 8, y + 4) < 3))).astype(np.float32)
@@ -244,7 +245,7 @@ def test_region_is_cut_out_of_the_same_volume(stack):
 def test_coarse_voxels_average_pixels(make_geometry, acquire):
     fine = make_geometry(ny=144, nx=88, pixel=0.5, views=9)
     stack = acquire(fine, [BREAST, BEAD])
-    grid = breast_grid(stack, volume_grid(fine, Sart(**COARSE), 20.0))
+    grid = breast_grid(stack, volume_grid(fine, Sart(**COARSE), Body(20.0)))
     measurement = measure(stack, grid)
     detector = measurement.geometry.detector
     assert (detector.ny, detector.pixel) == (72, 1.0)
@@ -264,7 +265,7 @@ def test_a_turned_detector_gives_the_same_volume(make_geometry, acquire):
         assert np.sqrt(np.mean((turned - still) ** 2)) < 0.02 * still.max()
     # Rays that miss the turned detector are not taken for empty ones.
     narrow = acquire(make_geometry(ny=80, nx=60, pixel=0.5, views=9, detector_range=40.0), [BREAST])
-    integrals = measure(narrow, volume_grid(narrow.geometry, specs[0], 20.0)).integrals
+    integrals = measure(narrow, volume_grid(narrow.geometry, specs[0], Body(20.0))).integrals
     assert 0.001 < np.isnan(integrals).mean() < 0.2
     assert np.isfinite(reconstruct(narrow, specs[0], 20.0).report["misfit"]).all()
 
