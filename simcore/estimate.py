@@ -14,7 +14,9 @@ from simcore import unused
 from simcore.capacity import SHADOW_MARGIN, beyond_plates, check_objects, predicted_grid
 from simcore.core.errors import GeometryError, ResourceLimitError, SpecError
 from simcore.core.memory import physical_bytes
+from simcore.core.tissues import Tissue
 from simcore.phantom.upload.spec import UploadedPhantom
+from simcore.phantom.upload.tissue_maps import has_tissue
 from simcore.projection.acquisition import geometry_of
 from simcore.projection.poses import check_poses
 from simcore.projection.spec import AcquisitionSpec
@@ -253,6 +255,9 @@ def _check_plates(spec: SimulationSpec) -> None:
             message = f"the tissue is {height:g} mm high; at least that, or none"
             _refuse("phantom.thickness_mm", p.thickness_mm, message)
         return
+    if c.chest_wall == "fixed_muscle" and isinstance(p, UploadedPhantom) and not has_tissue(p.tissues, Tissue.MUSCLE):
+        message = "no value of phantom.tissues is muscle: a tissue map that has it, or another chest_wall"
+        _refuse("compression.chest_wall", c.chest_wall, message)
     if c.thickness_mm is not None:
         # The mesh is a little thinner or thicker than the labels: what is near the limits is left to it.
         height = upper + lower

@@ -123,6 +123,14 @@ def test_a_thickness_that_cannot_be_is_refused_at_once() -> None:
     assert needs == [50.0, 55.0]
 
 
+def test_muscle_that_no_value_is_cannot_hold_the_breast() -> None:
+    body = UPLOADED.with_(compressed=False, tissues="openvct")
+    held = CompressionSpec(chest_wall="fixed_muscle", percent=20.0)
+    with pytest.raises(SpecError, match=r"chest_wall = fixed_muscle: no value of phantom\.tissues is muscle"):
+        estimate.check(SimulationSpec(phantom=body, compression=held))
+    estimate.check(SimulationSpec(phantom=body.with_(tissues="victre"), compression=held))
+
+
 def test_plates_that_bend_are_as_large_as_the_breast() -> None:
     small = changed(TINY, "compression.elastic_plates", {"thickness_mm": 3.0, "depth_mm": 20.0, "width_mm": 30.0})
     for name in ("depth_mm", "width_mm"):

@@ -18,6 +18,7 @@ from pydantic import ValidationError
 
 from simcore.core.errors import SpecError
 from simcore.core.store import FileRef, Store, canonical
+from simcore.core.tissues import Tissue
 from simcore.phantom.upload import segments, tissue_maps, wall
 from simcore.phantom.upload.anatomy import Anatomy
 from simcore.phantom.upload.decoding import read_header
@@ -152,7 +153,8 @@ def _check_against(upload: Upload, spec: UploadedPhantom) -> None:
     """raises: SpecError where ``spec`` says of a file what is known to be otherwise since it was added"""
     noted = upload.spec
     if spec.tissues != noted.tissues:
-        return  # then nothing is known of its tissue
+        _check_values(upload, spec)  # no more is known of its tissue then
+        return
     if upload.plates_mm is not None:
         if not spec.compressed:
             raise not_compressed()
@@ -170,6 +172,19 @@ def _check_against(upload: Upload, spec: UploadedPhantom) -> None:
     if len(upload.ends) == 3 and spec.axes != noted.axes:
         a, b, c = (wall.Ends(*e) for e in upload.ends)
         wall.check((a, b, c), spec.axes)
+
+
+def _check_values(upload: Upload, spec: UploadedPhantom) -> None:
+    """raises: SpecError where the tissues of ``spec`` do not fit the values of a file"""
+    table = tissue_maps.table(spec.tissues)
+    codes = {value: int(table[int(value)]) for value in upload.values}
+    unknown = [int(value) for value, code in codes.items() if code == tissue_maps.UNKNOWN]
+    if unknown:
+        tissue_maps.refuse_unknown(unknown)
+    if not set(codes.values()) - {Tissue.AIR, tissue_maps.PADDLE}:
+        raise refused("tissues", None, "the label volume holds nothing but air")
+    if tissue_maps.PADDLE in codes.values() and not spec.compressed:
+        raise not_compressed()
 
 
 def _add(

@@ -86,6 +86,11 @@ def table(tissues: TissueMap) -> NDArray[np.uint8]:
     return result
 
 
+def has_tissue(tissues: TissueMap, tissue: Tissue) -> bool:
+    """Whether any value is a tissue."""
+    return bool(np.any(table(tissues) == tissue))
+
+
 def name_of(code: int) -> str:
     """What an entry of a table is called."""
     return "paddle" if code == PADDLE else Tissue(code).name.lower()

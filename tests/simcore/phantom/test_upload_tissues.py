@@ -227,3 +227,16 @@ def test_what_is_seen_does_not_depend_on_the_blocks_in_which_a_file_is_read(
     own = np.where(breast() == 29, 2, np.where(breast() > 0, 1, 0)).astype(np.uint8)
     with pytest.raises(SpecError, match="its skin lies inside"):
         added(store, tmp_path, own)
+
+
+def test_tissues_that_a_specification_changes_must_fit_the_values(store: Store, tmp_path: Path) -> None:
+    part = added(store, tmp_path, breast()).spec
+    own = {"0": "air", "1": "adipose", "2": "skin", "29": "gland"}
+    registry.require(store, part.with_(tissues=own))
+    for tissues, said in (
+        ("openvct", "no tissue for 29"),
+        ({**own, "29": "paddle"}, "compressed already"),
+        (dict.fromkeys(own, "air"), "nothing but air"),
+    ):
+        with pytest.raises(SpecError, match=said):
+            registry.require(store, part.with_(tissues=tissues))
