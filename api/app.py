@@ -39,11 +39,11 @@ from api.slow import SlowBodies
 from simcore import __version__
 from simcore.spec import SimulationSpec
 from simcore.study import StudySpec
-from worker.courier import Courier
-from worker.garbage import Collector
 from worker.messages import Messenger
-from worker.reaper import Reaper
 from worker.settings import Settings
+from worker.upkeep.courier import Courier
+from worker.upkeep.garbage import Collector
+from worker.upkeep.reaper import Reaper
 
 DESCRIPTION = (
     "Simulation of digital breast tomosynthesis: a specification goes in, DICOM with known ground truth comes out. "

@@ -21,7 +21,7 @@ from api.deps import Services, services
 from api.errors import ApiError
 from worker import logs
 from worker.contract import SCOPES, Scope
-from worker.quotas import Submitter
+from worker.records.quotas import Submitter
 from worker.settings import is_loopback
 
 CHALLENGES = [

@@ -14,20 +14,20 @@ from api.errors import ApiError
 from api.rates import Rates
 from simcore.core.store import Store
 from simcore.spec import SimulationSpec
-from worker import schema
-from worker.database import connect
-from worker.deliveries import Deliveries
-from worker.destinations import Destinations
-from worker.fleet import Fleet
-from worker.idempotency import Idempotency
-from worker.jobs import Jobs, NotFoundError
-from worker.keys import Keys, check_address
 from worker.messages import CeleryMessenger, Messenger
-from worker.retention import Retention
+from worker.records import schema
+from worker.records.database import connect
+from worker.records.deliveries import Deliveries
+from worker.records.destinations import Destinations
+from worker.records.fleet import Fleet
+from worker.records.idempotency import Idempotency
+from worker.records.jobs import Jobs, NotFoundError
+from worker.records.keys import Keys, check_address
+from worker.records.retention import Retention
+from worker.records.studies import Studies
+from worker.records.webhooks import Webhooks
 from worker.settings import Settings
 from worker.storage import open_store
-from worker.studies import Studies
-from worker.webhooks import Webhooks
 
 
 @dataclass(frozen=True)

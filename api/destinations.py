@@ -17,8 +17,8 @@ from api.errors import ApiError
 from api.idempotency import IdempotentRoute, Making
 from api.resources import PREFIX, when
 from worker.delivery.addresses import DestinationNotAllowed, require_allowed
-from worker.destinations import Destination, DestinationRow, InUseError, NameTakenError
-from worker.leases import NotFoundError
+from worker.records.destinations import Destination, DestinationRow, InUseError, NameTakenError
+from worker.records.leases import NotFoundError
 
 MERGE_PATCH = "application/merge-patch+json"
 

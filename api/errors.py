@@ -17,10 +17,10 @@ from starlette.routing import Match
 
 from simcore.core.errors import ResourceLimitError, SimulationError, SpecError, StoreError
 from worker import logs
-from worker.database import AWAY
-from worker.jobs import NotFoundError
-from worker.quotas import QuotaError
-from worker.retention import ExpiredError
+from worker.records.database import AWAY
+from worker.records.jobs import NotFoundError
+from worker.records.quotas import QuotaError
+from worker.records.retention import ExpiredError
 
 log = logging.getLogger(__name__)
 

@@ -18,8 +18,8 @@ from api.deps import Identifier, Served
 from api.errors import ApiError
 from api.resources import simulation_path
 from worker.contract import EVENT_STATE, FINAL_STATES
-from worker.database import AWAY
-from worker.leases import Event, Leases
+from worker.records.database import AWAY
+from worker.records.leases import Event, Leases
 
 log = logging.getLogger(__name__)
 

@@ -27,9 +27,9 @@ from api.auth import authenticate
 from api.deps import read_body, services
 from api.errors import ApiError
 from simcore.core.errors import SimulationError
-from worker.idempotency import Claim, Idempotency, KeyBusyError, KeyReusedError
-from worker.leases import NotFoundError
-from worker.quotas import QuotaError
+from worker.records.idempotency import Claim, Idempotency, KeyBusyError, KeyReusedError
+from worker.records.leases import NotFoundError
+from worker.records.quotas import QuotaError
 
 log = logging.getLogger(__name__)
 

@@ -15,8 +15,8 @@ from prometheus_client.exposition import choose_encoder
 
 from api.auth import Read
 from api.deps import Served, Services
-from worker import counters
 from worker.contract import QUEUES, STATES
+from worker.records import counters
 
 log = logging.getLogger(__name__)
 

@@ -12,7 +12,7 @@ from simcore.estimate import Estimate
 from worker.contract import Queue, State
 
 if TYPE_CHECKING:  # clients import this file; they need no database
-    from worker.jobs import Simulation
+    from worker.records.jobs import Simulation
 
 PREFIX = "/v1"
 

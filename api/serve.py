@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-from worker import embedded
+from worker.serve import embedded
 from worker.settings import Settings
 
 

@@ -23,7 +23,7 @@ from simcore.phantom.upload import registry
 from simcore.phantom.upload.spec import UploadedPhantom
 from simcore.spec import SimulationSpec
 from worker.contract import Device, Priority, Queue, State, queue_of
-from worker.jobs import NotFoundError, Simulation, StateError
+from worker.records.jobs import NotFoundError, Simulation, StateError
 
 log = logging.getLogger(__name__)
 

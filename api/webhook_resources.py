@@ -11,7 +11,7 @@ from api.resources import PREFIX
 from worker.contract import MessageState, WebhookEvent
 
 if TYPE_CHECKING:
-    from worker.webhooks import Attempt, Message, Webhook
+    from worker.records.webhooks import Attempt, Message, Webhook
 
 DEFAULT_EVENTS: tuple[WebhookEvent, ...] = (
     "simulation.succeeded",

@@ -25,8 +25,8 @@ from api.webhook_resources import (
     webhook_path,
     webhook_resource,
 )
-from worker import outbound
-from worker.leases import NotFoundError, StateError
+from worker.records.leases import NotFoundError, StateError
+from worker.upkeep import outbound
 
 MAX_WEBHOOKS = 100
 

@@ -18,7 +18,7 @@ from simcore.core.errors import SimulationError
 from simcore.core.store import FileRef, StageRecord, Store, file_digest
 from simcore.spec import SimulationSpec
 from worker.contract import EVENT_STATE, FINAL_STATES
-from worker.database import connect, events, simulations
+from worker.records.database import connect, events, simulations
 from worker.settings import Settings
 
 ORPHAN_SECONDS = 5.0

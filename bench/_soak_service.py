@@ -17,10 +17,11 @@ from subprocess import Popen
 import httpx
 from sqlalchemy.exc import SQLAlchemyError
 
-from worker import broker, processes, schema
-from worker.database import connect
-from worker.fleet import Fleet
-from worker.jobs import Jobs
+from worker.records import schema
+from worker.records.database import connect
+from worker.records.fleet import Fleet
+from worker.records.jobs import Jobs
+from worker.serve import broker, processes
 from worker.settings import Settings
 
 START_SECONDS = 60.0

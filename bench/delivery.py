@@ -124,10 +124,10 @@ def _ours(files: Path, port: int) -> tuple[float, float]:
 def _deliver(files: Path, port: int) -> None:
     """Delivers once and prints the seconds it took and the peak memory of this process, MB."""
     from simcore.core.store import Store, file_digest
-    from worker.database import connect, create_tables
-    from worker.deliveries import Deliveries, Item, Request
     from worker.delivery.sender import Sender
-    from worker.destinations import Destination, Destinations
+    from worker.records.database import connect, create_tables
+    from worker.records.deliveries import Deliveries, Item, Request
+    from worker.records.destinations import Destination, Destinations
     from worker.settings import Settings
 
     with tempfile.TemporaryDirectory(prefix="data", dir=files.parent) as folder:

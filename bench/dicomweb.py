@@ -30,9 +30,9 @@ from simcore.core.artifacts import Compression, Phantom, ProjectionStack, Volume
 from simcore.core.geometry import AcquisitionGeometry, Detector
 from simcore.core.grid import Grid
 from simcore.core.store import Store
-from worker.database import connect
-from worker.jobs import Jobs
-from worker.schema import prepare
+from worker.records.database import connect
+from worker.records.jobs import Jobs
+from worker.records.schema import prepare
 from worker.settings import Settings
 
 ROWS, COLUMNS, SLICES = 2304, 1920, 60

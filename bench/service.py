@@ -35,7 +35,7 @@ from simcore import presets
 from simcore.mesh.spec import LatticeMesh
 from simcore.spec import SimulationSpec
 from tomosim.client import Client
-from worker import processes
+from worker.serve import processes
 
 CONNECTIONS = 8
 LOAD_SECONDS = 4.0

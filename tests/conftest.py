@@ -21,8 +21,8 @@ import sqlalchemy as sa
 
 from simcore.core.bucket import Location
 from simcore.core.store import Store
-from worker.database import connect, create_tables
-from worker.tables import metadata
+from worker.records.database import connect, create_tables
+from worker.records.migrations.tables import metadata
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:

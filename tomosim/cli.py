@@ -223,7 +223,7 @@ def _set_threads(count: int | None) -> None:
 
 
 def _serve(args: argparse.Namespace) -> int:
-    from worker.embedded import serve
+    from worker.serve.embedded import serve
     from worker.settings import Settings
 
     options = {"host": args.host, "port": args.port, "data_folder": args.data}

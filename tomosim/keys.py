@@ -15,7 +15,7 @@ from simcore.core.errors import SimulationError
 from worker.contract import SCOPES
 
 if TYPE_CHECKING:
-    from worker.keys import Key, Keys
+    from worker.records.keys import Key, Keys
 
 UNIT_SECONDS = {"h": 3600, "d": 86400, "w": 7 * 86400}
 
@@ -116,9 +116,9 @@ def _service_argument(parser: argparse.ArgumentParser) -> None:
 
 @contextmanager
 def _keys(data: Path | None) -> Iterator[Keys]:
-    from worker import schema
-    from worker.database import connect
-    from worker.keys import Keys
+    from worker.records import schema
+    from worker.records.database import connect
+    from worker.records.keys import Keys
     from worker.settings import Settings
 
     settings = Settings.load(**({"data_folder": data} if data else {}))

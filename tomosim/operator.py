@@ -40,7 +40,7 @@ def _on_database(action: Callable[[sa.Engine, argparse.Namespace], None]) -> Cal
         from sqlalchemy.exc import SQLAlchemyError
 
         from simcore.core.errors import StoreError
-        from worker.database import connect
+        from worker.records.database import connect
         from worker.settings import Settings
 
         engine = connect(Settings.load().resolved_database_url)
@@ -56,7 +56,7 @@ def _on_database(action: Callable[[sa.Engine, argparse.Namespace], None]) -> Cal
 
 
 def _upgrade(engine: sa.Engine, args: argparse.Namespace) -> None:
-    from worker import schema
+    from worker.records import schema
 
     before = schema.current(engine)
     schema.upgrade(engine)
@@ -65,14 +65,14 @@ def _upgrade(engine: sa.Engine, args: argparse.Namespace) -> None:
 
 
 def _downgrade(engine: sa.Engine, args: argparse.Namespace) -> None:
-    from worker import schema
+    from worker.records import schema
 
     schema.downgrade(engine, args.revision)
     print(f"now at revision {schema.current(engine) or 'base'}")
 
 
 def _current(engine: sa.Engine, args: argparse.Namespace) -> None:
-    from worker import schema
+    from worker.records import schema
 
     print(f"database: {schema.current(engine) or 'no tables'}; this program needs: {schema.newest()}")
 
@@ -80,10 +80,10 @@ def _current(engine: sa.Engine, args: argparse.Namespace) -> None:
 def _collect(engine: sa.Engine, args: argparse.Namespace) -> None:
     import time
 
-    from worker import schema
-    from worker.garbage import collect
+    from worker.records import schema
     from worker.settings import Settings
     from worker.storage import open_store
+    from worker.upkeep.garbage import collect
 
     settings = Settings.load()
     schema.require_current(engine)
@@ -96,6 +96,6 @@ def _collect(engine: sa.Engine, args: argparse.Namespace) -> None:
 
 def _check_store(args: argparse.Namespace) -> None:
     from worker.settings import Settings
-    from worker.store_check import check
+    from worker.upkeep.store_check import check
 
     print(check(Settings.load(), args.make))

@@ -3,7 +3,7 @@
 import sys
 
 from simcore.core.errors import SimulationError
-from worker.app import main
+from worker.compute.app import main
 
 try:
     sys.exit(main())

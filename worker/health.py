@@ -6,8 +6,8 @@ from __future__ import annotations
 import socket
 import sys
 
-from worker.database import connect
-from worker.fleet import Fleet
+from worker.records.database import connect
+from worker.records.fleet import Fleet
 from worker.settings import Settings
 
 

@@ -12,9 +12,9 @@ from api.auth import Read
 from api.deps import Services
 from api.dicomweb.query import FRAMES, UID
 from api.errors import MAX_SHOWN, ApiError
-from worker.dicom_index import Instance
-from worker.dicom_indexer import Indexer
-from worker.retention import ExpiredError
+from worker.dicom_index.index import Instance
+from worker.dicom_index.indexer import Indexer
+from worker.records.retention import ExpiredError
 
 PREFIX = "/dicomweb"
 

@@ -15,8 +15,8 @@ from pydicom.uid import ExplicitVRLittleEndian
 
 from api.errors import ApiError
 from simcore.core.store import Store
-from worker.dicom_files import open_stored, read_header
-from worker.dicom_index import Instance, Pixels
+from worker.dicom_index.files import open_stored, read_header
+from worker.dicom_index.index import Instance, Pixels
 
 
 class Frames:

@@ -11,8 +11,8 @@ from pydicom.dataelem import DataElement
 from pydicom.dataset import Dataset
 
 from simcore.core.store import FileRef, Store
-from worker.dicom_files import open_stored, read_header
-from worker.dicom_index import Pixels
+from worker.dicom_index.files import open_stored, read_header
+from worker.dicom_index.index import Pixels
 
 BULK_BYTES = 1023
 """Binary values that are longer stand as an address."""

@@ -11,8 +11,8 @@ from pydicom.datadict import keyword_for_tag, tag_for_keyword
 from pydicom.tag import Tag
 
 from api.errors import MAX_SHOWN, ApiError
-from worker.dicom_index import Condition
-from worker.dicom_tables import KEYS, Key, Level
+from worker.dicom_index.index import Condition
+from worker.records.dicom import KEYS, Key, Level
 
 MAX_RESULTS = 1000
 """Results of one answer, at most; also where no limit is given."""

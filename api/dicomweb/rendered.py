@@ -18,7 +18,7 @@ from api.dicomweb.multipart import Part, multipart_response, single_response
 from api.dicomweb.rendering import Viewport, Wish, look, parse, picture
 from api.dicomweb.retrieve import INSTANCE, SERIES, STUDY, entity_tag, frame_numbers, one_with_frames
 from api.errors import ApiError
-from worker.dicom_index import Instance
+from worker.dicom_index.index import Instance
 
 THUMBNAIL = Viewport(256, 256)
 

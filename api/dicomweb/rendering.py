@@ -17,7 +17,7 @@ from pydicom.dataset import Dataset
 
 from api.dicomweb.query import bad_query
 from simcore.core.store import FileRef, Store
-from worker.dicom_files import open_stored, read_header
+from worker.dicom_index.files import open_stored, read_header
 
 MAX_EDGE = 8192
 """Longest edge of a viewport, pixel."""

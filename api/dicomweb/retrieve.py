@@ -37,8 +37,8 @@ from api.dicomweb.metadata import bulk_value, is_pixel_data, metadata_json
 from api.dicomweb.multipart import Part, multipart_response, single_response
 from api.dicomweb.query import FRAMES
 from api.errors import MAX_SHOWN, ApiError
-from worker.dicom_index import Instance
-from worker.dicom_indexer import Indexer
+from worker.dicom_index.index import Instance
+from worker.dicom_index.indexer import Indexer
 
 router = APIRouter()
 

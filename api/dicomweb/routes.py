@@ -12,8 +12,8 @@ from fastapi.concurrency import run_in_threadpool
 from api.deps import Services
 from api.dicomweb import rendered, retrieve, search
 from api.dicomweb.common import PREFIX, reader
-from worker.dicom_index import DicomIndex
-from worker.dicom_indexer import Indexer
+from worker.dicom_index.index import DicomIndex
+from worker.dicom_index.indexer import Indexer
 
 router = APIRouter(prefix=PREFIX, tags=["dicomweb"], dependencies=[Depends(reader)])
 for module in (search, retrieve, rendered):

@@ -11,9 +11,9 @@ from pydicom.datadict import tag_for_keyword
 from api.dicomweb import query as queries
 from api.dicomweb.accept import JSON, choose_json
 from api.dicomweb.common import Indexing, SeriesUID, StudyUID, base_url, resource_url, service_url
-from worker.dicom_index import Condition, Found
-from worker.dicom_indexer import Indexer
-from worker.dicom_tables import Level
+from worker.dicom_index.index import Condition, Found
+from worker.dicom_index.indexer import Indexer
+from worker.records.dicom import Level
 
 router = APIRouter()
 

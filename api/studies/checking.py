@@ -17,7 +17,7 @@ from simcore.phantom.upload import registry
 from simcore.phantom.upload.spec import UploadedPhantom
 from simcore.spec import SimulationSpec
 from simcore.study import Case, StudySpec, expand
-from worker.studies import NewCase
+from worker.records.studies import NewCase
 
 Json = dict[str, Any]
 

@@ -11,9 +11,9 @@ from api.study_resources import StudyEstimate as StudyEstimate
 from api.study_resources import StudyPage as StudyPage
 from api.study_resources import StudyResource as StudyResource
 from worker.contract import STATES
-from worker.jobs import Simulation
-from worker.retention import is_expired
-from worker.studies import Study
+from worker.records.jobs import Simulation
+from worker.records.retention import is_expired
+from worker.records.studies import Study
 
 
 def study_path(identifier: str) -> str:

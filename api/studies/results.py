@@ -23,9 +23,9 @@ from api.events import HEARTBEAT_SECONDS, RECONNECT_MILLISECONDS
 from api.studies import tables
 from api.studies.resources import CasePage, case_resource, folder_name, study_resource
 from worker.contract import State
-from worker.jobs import NotFoundError
-from worker.retention import ExpiredError, is_expired
-from worker.studies import Studies, Study
+from worker.records.jobs import NotFoundError
+from worker.records.retention import ExpiredError, is_expired
+from worker.records.studies import Studies, Study
 
 POLL_SECONDS = 1.0
 

@@ -20,8 +20,8 @@ from api.studies.checking import check
 from api.studies.resources import StudyEstimate, StudyPage, StudyResource, study_path, study_resource
 from simcore.study import StudySpec, columns
 from worker.contract import Device, Priority, State
-from worker.jobs import NotFoundError
-from worker.studies import Study
+from worker.records.jobs import NotFoundError
+from worker.records.studies import Study
 
 log = logging.getLogger(__name__)
 

@@ -9,8 +9,8 @@ from collections.abc import Sequence
 from typing import Any, Literal
 
 from api.studies.resources import case_resource
-from worker.jobs import Simulation
-from worker.studies import Study
+from worker.records.jobs import Simulation
+from worker.records.studies import Study
 
 _BEGINS_FORMULA = ("=", "+", "-", "@", "\t", "\r")
 

@@ -8,7 +8,7 @@ import pytest
 from sqlalchemy.exc import OperationalError
 
 from api import errors
-from worker.jobs import Jobs
+from worker.records.jobs import Jobs
 
 ROOT = Path(__file__).parents[2]
 

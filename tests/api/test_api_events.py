@@ -7,7 +7,7 @@ import pytest
 from sqlalchemy.exc import OperationalError
 
 from api.events import _news
-from worker.jobs import StageProgress
+from worker.records.jobs import StageProgress
 
 
 def parse(text):

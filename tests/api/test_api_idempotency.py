@@ -5,7 +5,7 @@ import threading
 import pytest
 
 from api import simulations
-from worker.idempotency import ABANDONED_SECONDS, Idempotency
+from worker.records.idempotency import ABANDONED_SECONDS, Idempotency
 
 KEY_NAME = "Idempotency-Key"
 KEY = {KEY_NAME: "8e03978e-40d5-43dd-bc93-6894a57f9324"}

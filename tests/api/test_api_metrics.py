@@ -3,7 +3,7 @@
 from prometheus_client.parser import text_string_to_metric_families
 
 from api import metrics
-from worker.reaper import Reaper
+from worker.upkeep.reaper import Reaper
 
 
 def scraped(client) -> dict[tuple[str, str], float]:

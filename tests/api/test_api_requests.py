@@ -6,7 +6,7 @@ import pytest
 from fastapi.testclient import TestClient
 
 from api.app import create_app
-from worker.jobs import Jobs
+from worker.records.jobs import Jobs
 
 
 @pytest.mark.parametrize("given", ["abc", "4bf92f3577b34da6a3ce929d0e0e4736", "job:7/case=3@portal"])

@@ -9,7 +9,7 @@ import zipfile
 import pytest
 import sqlalchemy as sa
 
-from worker.database import simulations
+from worker.records.database import simulations
 
 
 @pytest.fixture

@@ -121,7 +121,7 @@ def test_entity_tag_follows_the_revision(client, post, served):
 
 
 def test_progress_and_failure_are_shown(client, post, served):
-    from worker.jobs import StageProgress
+    from worker.records.jobs import StageProgress
 
     case = post()
     served.jobs.claim(case["id"], "test")
@@ -249,7 +249,7 @@ def test_an_unexpected_error_tells_no_secrets(settings, broker, served, is_probl
     from fastapi.testclient import TestClient
 
     from api.app import create_app
-    from worker.jobs import Jobs
+    from worker.records.jobs import Jobs
 
     def broken(*_):
         raise RuntimeError("password")

@@ -8,7 +8,7 @@ import zipfile
 
 import pytest
 
-from worker.jobs import StageProgress
+from worker.records.jobs import StageProgress
 
 ERROR = {"kind": "simulation", "code": "solver-failed", "message": '=HYPERLINK("http://evil","use less")'}
 PAIRS = {

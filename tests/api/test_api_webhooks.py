@@ -10,7 +10,7 @@ from fastapi.testclient import TestClient
 from standardwebhooks.webhooks import Webhook as Verifier
 
 from api.app import create_app
-from worker import outbound
+from worker.upkeep import outbound
 
 PATIENCE_SECONDS = 30
 

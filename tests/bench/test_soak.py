@@ -14,9 +14,9 @@ from bench._soak_check import Finding, check, left_running
 from bench._soak_service import MARKER
 from bench.soak import must_fail, soak, specification
 from simcore.core.store import Hashing, Store
-from worker import schema
-from worker.database import connect
-from worker.jobs import Jobs
+from worker.records import schema
+from worker.records.database import connect
+from worker.records.jobs import Jobs
 from worker.settings import Settings
 
 

@@ -22,9 +22,9 @@ from simcore.spec import SimulationSpec
 from tomosim import client as clients
 from tomosim.client import AsyncClient, Client, Retrying, ServiceError, twin
 from tomosim.client.files import Partial
-from worker.destination_spec import Destination
+from worker.compute.supervisor import Slot
+from worker.records.destination_spec import Destination
 from worker.settings import Settings
-from worker.supervisor import Slot
 
 AT_ONCE = Retrying(first_seconds=0.0, longest_seconds=0.0)
 FAKE = Path(__file__).parent.parent / "worker"

@@ -3,8 +3,8 @@
 import pytest
 
 from tomosim.cli import main
-from worker.database import connect
-from worker.keys import Keys
+from worker.records.database import connect
+from worker.records.keys import Keys
 from worker.settings import Settings
 
 

@@ -9,8 +9,8 @@ from pathlib import Path
 import pytest
 import sqlalchemy as sa
 
-from worker.database import connect
-from worker.jobs import Jobs
+from worker.records.database import connect
+from worker.records.jobs import Jobs
 from worker.settings import Settings
 
 HERE = Path(__file__).parent

@@ -8,8 +8,8 @@ import time
 import httpx
 import pytest
 
-from worker import broker
-from worker.processes import environment
+from worker.serve import broker
+from worker.serve.processes import environment
 
 PATIENCE_SECONDS = 60
 

@@ -10,10 +10,10 @@ import sqlalchemy as sa
 from fastapi.testclient import TestClient
 
 from api.app import create_app
-from worker import broker, processes
-from worker.database import AWAY, connect, outlast
-from worker.fleet import Fleet
-from worker.jobs import Jobs
+from worker.records.database import AWAY, connect, outlast
+from worker.records.fleet import Fleet
+from worker.records.jobs import Jobs
+from worker.serve import broker, processes
 
 CASES = 24
 RESTARTS = 10

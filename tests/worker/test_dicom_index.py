@@ -3,9 +3,9 @@
 import pytest
 
 from simcore.core.store import FileRef
-from worker.database import simulations
-from worker.dicom_index import Condition, DicomIndex, Entry, Pixels
-from worker.retention import ExpiredError
+from worker.dicom_index.index import Condition, DicomIndex, Entry, Pixels
+from worker.records.database import simulations
+from worker.records.retention import ExpiredError
 
 PIXELS = Pixels("7FE00010", "OW", 1000, None, 3, 4, 5, 1, 16)
 

@@ -14,8 +14,8 @@ from pathlib import Path
 import httpx
 import pytest
 
-from worker import broker
-from worker.processes import environment
+from worker.serve import broker
+from worker.serve.processes import environment
 from worker.settings import Settings
 
 PATIENCE_SECONDS = 90
@@ -54,7 +54,7 @@ def tree(pid):
 
 
 class Service:
-    """``python -m worker.embedded`` in a process of its own."""
+    """``python -m worker.serve.embedded`` in a process of its own."""
 
     def __init__(self, settings: Settings, log: Path) -> None:
         self.settings = settings
@@ -62,7 +62,7 @@ class Service:
         self.log = log
         with open(log, "wb") as output:
             self.process = subprocess.Popen(
-                [sys.executable, "-m", "worker.embedded"],
+                [sys.executable, "-m", "worker.serve.embedded"],
                 env=environment(settings),
                 stdout=output,
                 stderr=subprocess.STDOUT,
@@ -147,7 +147,7 @@ def test_from_start_to_stop(start, make_settings, free_port, tmp_path):
 
         # A second instance on the same folder is refused and harms nothing.
         second = subprocess.run(
-            [sys.executable, "-m", "worker.embedded"],
+            [sys.executable, "-m", "worker.serve.embedded"],
             env=environment(make_settings(port=free_port)),
             capture_output=True,
             text=True,

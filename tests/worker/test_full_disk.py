@@ -8,9 +8,9 @@ import pytest
 
 from simcore.core.errors import StoreError
 from simcore.core.store import Store
-from worker.database import connect, create_tables
-from worker.jobs import Jobs
-from worker.supervisor import Slot
+from worker.compute.supervisor import Slot
+from worker.records.database import connect, create_tables
+from worker.records.jobs import Jobs
 
 MANY = 1 << 60
 

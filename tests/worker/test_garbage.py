@@ -16,13 +16,13 @@ from simcore.core.store import Store
 from simcore.phantom.upload import registry
 from simcore.phantom.upload.reading import Reading
 from simcore.spec import SimulationSpec
-from worker.chores import Chores
-from worker.database import connect, create_tables, simulations
-from worker.garbage import Collector, collect
-from worker.jobs import Jobs, StageProgress
-from worker.processes import environment
-from worker.retention import ExpiredError, Retention
-from worker.studies import NewCase, Studies
+from worker.records.chores import Chores
+from worker.records.database import connect, create_tables, simulations
+from worker.records.jobs import Jobs, StageProgress
+from worker.records.retention import ExpiredError, Retention
+from worker.records.studies import NewCase, Studies
+from worker.serve.processes import environment
+from worker.upkeep.garbage import Collector, collect
 
 HOUR = 3600.0
 DAY = 24 * HOUR

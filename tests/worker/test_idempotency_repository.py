@@ -4,7 +4,7 @@ import threading
 
 import pytest
 
-from worker.idempotency import ABANDONED_SECONDS, Idempotency, KeyBusyError, KeyReusedError
+from worker.records.idempotency import ABANDONED_SECONDS, Idempotency, KeyBusyError, KeyReusedError
 
 ANSWER = {"status": 202, "headers": {}, "body": "{}"}
 

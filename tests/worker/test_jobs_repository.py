@@ -4,8 +4,8 @@ import threading
 
 import pytest
 
-from worker.fleet import Fleet
-from worker.jobs import NotFoundError, StageProgress, StateError
+from worker.records.fleet import Fleet
+from worker.records.jobs import NotFoundError, StageProgress, StateError
 
 ERROR = {"kind": "system", "code": "test", "message": "for the test"}
 MANIFEST = {"files": {}, "results": {"force_N": 100.0}}

@@ -2,7 +2,7 @@
 
 import pytest
 
-from worker import memory
+from worker.compute import memory
 
 
 @pytest.mark.parametrize(

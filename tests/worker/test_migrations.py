@@ -11,10 +11,10 @@ from alembic.autogenerate import compare_metadata
 from alembic.migration import MigrationContext
 
 from simcore.core.errors import StoreError
-from worker import schema
-from worker.database import connect, create_tables, simulations
-from worker.processes import environment
-from worker.tables import metadata
+from worker.records import schema
+from worker.records.database import connect, create_tables, simulations
+from worker.records.migrations.tables import metadata
+from worker.serve.processes import environment
 
 SIMULATION = {"id": "1" * 32, "state": "queued", "specification": {}, "estimate": {}, "queue": "batch", "created": 1.0}
 

@@ -8,8 +8,8 @@ from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 import anyio
 import pytest
 
-from worker import outbound
-from worker.outbound import RefusedAddressError
+from worker.upkeep import outbound
+from worker.upkeep.outbound import RefusedAddressError
 
 
 def post(url, private=()):

@@ -4,8 +4,8 @@ import time
 
 import pytest
 
-from worker.fleet import Fleet
-from worker.reaper import Reaper
+from worker.records.fleet import Fleet
+from worker.upkeep.reaper import Reaper
 
 
 class FakeBroker:

@@ -6,9 +6,9 @@ import time
 import pytest
 from sqlalchemy.exc import OperationalError, ProgrammingError
 
-from worker.jobs import Jobs
-from worker.repeat import Repeated
-from worker.watch import Watch, write_end
+from worker.compute.watch import Watch, write_end
+from worker.records.jobs import Jobs
+from worker.upkeep.repeat import Repeated
 
 
 def away(*args, **options):
@@ -43,18 +43,18 @@ def test_a_database_that_is_away_for_longer_than_a_lease(jobs: Jobs, monkeypatch
     monkeypatch.setattr(jobs, "renew", away)
     monkeypatch.setattr(jobs, "state_of", away)
     now = time.monotonic()
-    monkeypatch.setattr("worker.watch.time.monotonic", lambda: now + jobs.lease_seconds + 1)
+    monkeypatch.setattr("worker.compute.watch.time.monotonic", lambda: now + jobs.lease_seconds + 1)
     assert watch.verdict() == verdict
 
 
 def test_the_end_of_a_case_waits_for_the_database(monkeypatch):
-    monkeypatch.setattr("worker.database.RETRY_SECONDS", 0.01)
+    monkeypatch.setattr("worker.records.database.RETRY_SECONDS", 0.01)
     answers = iter([away] * 20 + [lambda: True])
     assert write_end(lambda: next(answers)(), threading.Event()) is True
 
 
 def test_a_worker_that_stops_does_not_wait_for_it_for_ever(monkeypatch):
-    monkeypatch.setattr("worker.watch.STOP_SECONDS", 0.1)
+    monkeypatch.setattr("worker.compute.watch.STOP_SECONDS", 0.1)
     stopping = threading.Event()
     stopping.set()
     assert write_end(away, stopping) is None

@@ -7,10 +7,10 @@ from pathlib import Path
 
 import pytest
 
-from worker import schema
-from worker.database import connect
-from worker.keys import Keys, check_address
-from worker.processes import environment
+from worker.records import schema
+from worker.records.database import connect
+from worker.records.keys import Keys, check_address
+from worker.serve.processes import environment
 from worker.settings import MAX_SOCKET_PATH, Settings, SettingsError, is_loopback
 
 pytestmark = pytest.mark.embedded
@@ -81,7 +81,8 @@ def test_long_data_folder_gets_a_short_socket(make_settings, tmp_path):
 def test_service_parents_load_no_kernels(make_settings):
     """The Celery parent and the API stay light; the compute process loads the rest."""
     heavy = ("numba", "scipy", "pytetwild", "skimage", "simcore.pipeline")
-    code = f"import sys, api.app, worker.app, worker.embedded; print(*(m for m in {heavy} if m in sys.modules))"
+    light = "api.app, worker.compute.app, worker.serve.embedded"
+    code = f"import sys, {light}; print(*(m for m in {heavy} if m in sys.modules))"
     done = subprocess.run(
         [sys.executable, "-c", code], env=environment(make_settings()), capture_output=True, text=True, check=True
     )

@@ -11,10 +11,10 @@ import pytest
 from fastapi.testclient import TestClient
 
 from api.app import create_app
-from worker import broker
-from worker.database import connect
-from worker.fleet import Fleet
-from worker.processes import environment
+from worker.records.database import connect
+from worker.records.fleet import Fleet
+from worker.serve import broker
+from worker.serve.processes import environment
 
 pytestmark = pytest.mark.sweep  # whole cases through two workers
 

@@ -7,8 +7,8 @@ import pytest
 
 from simcore.core.bucket import Bucket
 from simcore.core.errors import StoreError
-from worker.processes import environment
-from worker.store_check import check
+from worker.serve.processes import environment
+from worker.upkeep.store_check import check
 
 
 @pytest.fixture

@@ -14,11 +14,11 @@ import time
 
 import pytest
 
-from worker.database import connect, create_tables
-from worker.jobs import Jobs
-from worker.processes import environment
-from worker.quotas import Submitter
-from worker.supervisor import Slot, Slots
+from worker.compute.supervisor import Slot, Slots
+from worker.records.database import connect, create_tables
+from worker.records.jobs import Jobs
+from worker.records.quotas import Submitter
+from worker.serve.processes import environment
 
 PATIENCE_SECONDS = 60
 
@@ -169,7 +169,7 @@ def test_a_killed_compute_process_costs_an_attempt_not_the_case(slot, jobs):
 
 def test_killed_by_the_kernel_for_want_of_memory_is_not_tried_again(slot, jobs, monkeypatch):
     kills = iter([3, 4])
-    monkeypatch.setattr("worker.memory.kernel_kills", lambda: next(kills))
+    monkeypatch.setattr("worker.compute.memory.kernel_kills", lambda: next(kills))
     identifier = queue(jobs, "slow")
     thread = run_in_thread(slot, identifier)
     running(jobs, identifier)
@@ -185,7 +185,7 @@ def test_a_cancelled_case_is_not_tried_again_after_a_crash(slot, jobs, monkeypat
     thread = run_in_thread(slot, identifier)
     running(jobs, identifier)
     # The crash is noticed before the cancellation.
-    monkeypatch.setattr("worker.watch.STATE_SECONDS", 3600)
+    monkeypatch.setattr("worker.compute.watch.STATE_SECONDS", 3600)
     jobs.cancel(identifier)
     os.kill(slot.warm_up().pid, signal.SIGSEGV)
     thread.join(PATIENCE_SECONDS)
@@ -316,7 +316,7 @@ def test_two_slots_run_two_cases(make_module_settings, jobs):
 
 def test_compute_process_dies_with_its_parent(make_module_settings):
     code = (
-        "import sys, time; from worker.compute_process import ComputeProcess; from worker.settings import Settings\n"
+        "import sys, time; from worker.compute.process import ComputeProcess; from worker.settings import Settings\n"
         "process = ComputeProcess(Settings.load())\n"
         "while not process.ready: process.receive(1)\n"
         "process.run({'name': 'silent'}, {})\n"  # it does not see that nobody listens any more

@@ -9,12 +9,12 @@ import pytest
 import sqlalchemy as sa
 from standardwebhooks.webhooks import Webhook as Verifier
 
-from worker import outbound
-from worker.courier import Courier, signed_headers
-from worker.jobs import Jobs
-from worker.leases import NotFoundError, StateError
-from worker.studies import NewCase, Studies
-from worker.webhooks import CLAIM_SECONDS, KEEP_SECONDS, RETRY_SECONDS, Attempt, Webhooks
+from worker.records.jobs import Jobs
+from worker.records.leases import NotFoundError, StateError
+from worker.records.studies import NewCase, Studies
+from worker.records.webhooks import CLAIM_SECONDS, KEEP_SECONDS, RETRY_SECONDS, Attempt, Webhooks
+from worker.upkeep import outbound
+from worker.upkeep.courier import Courier, signed_headers
 
 ALL = ["simulation.succeeded", "simulation.failed", "simulation.cancelled"]
 

@@ -13,16 +13,16 @@ from celery import signals
 from sqlalchemy.exc import SQLAlchemyError
 
 from worker.contract import TASK_DELIVER
-from worker.database import connect
-from worker.deliveries import Deliveries
 from worker.delivery.commitment import Listener
 from worker.delivery.sender import Sender
-from worker.fleet import BEAT_SECONDS, DELIVERY_PREFIX, Fleet
 from worker.messages import create_celery
-from worker.repeat import Repeated
-from worker.schema import prepare
+from worker.records.database import connect
+from worker.records.deliveries import Deliveries
+from worker.records.fleet import BEAT_SECONDS, DELIVERY_PREFIX, Fleet
+from worker.records.schema import prepare
 from worker.settings import Settings
 from worker.storage import open_store
+from worker.upkeep.repeat import Repeated
 
 log = logging.getLogger(__name__)
 
@@ -79,7 +79,7 @@ class DeliveryWorker:
         return 0
 
     def _deliver(self, identifier: str) -> None:
-        # As in worker.app: an exception would send the message round the workers; the row is the truth.
+        # As in worker.compute.app: an exception would send the message round the workers; the row is the truth.
         try:
             self.sender.run(identifier)
         except Exception:

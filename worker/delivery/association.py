@@ -32,7 +32,7 @@ from pynetdicom.transport import AddressInformation, AssociationSocket
 from simcore.core.errors import SimulationError
 from simcore.dicom.identity import IMPLEMENTATION_UID
 from worker.delivery import addresses
-from worker.destinations import Destination, Tls
+from worker.records.destinations import Destination, Tls
 
 _config.STORE_SEND_CHUNKED_DATASET = True
 _config.LOG_HANDLER_LEVEL = "none"

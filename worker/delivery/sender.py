@@ -15,18 +15,18 @@ from sqlalchemy.exc import SQLAlchemyError
 
 from simcore.core.errors import SimulationError, StoreError
 from simcore.core.store import FileRef, Store
+from worker.compute.watch import Watch, write_end
 from worker.contract import INTERNAL_ERROR
-from worker.database import AWAY, Result, outlast
-from worker.deliveries import Deliveries, Delivery, Instance
 from worker.delivery import association, commitment, outcomes
 from worker.delivery.association import AssociationError, Kind, Peer, Throttle
 from worker.delivery.commitment import Reports
 from worker.delivery.files import UNCOMPRESSED, FileError, Header, converted, offered, read_header
 from worker.delivery.outcomes import Json, Outcome
-from worker.destinations import Destination, Destinations
-from worker.leases import NotFoundError
+from worker.records.database import AWAY, Result, outlast
+from worker.records.deliveries import Deliveries, Delivery, Instance
+from worker.records.destinations import Destination, Destinations
+from worker.records.leases import NotFoundError
 from worker.settings import Settings
-from worker.watch import Watch, write_end
 
 log = logging.getLogger(__name__)
 

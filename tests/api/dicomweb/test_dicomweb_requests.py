@@ -15,10 +15,10 @@ from api.dicomweb import query, rendered
 from api.dicomweb.metadata import BULK_BYTES
 from api.dicomweb.rendered import MOST_PICTURES, THUMBNAIL
 from simcore.core.errors import StoreError
-from worker.database import simulations
-from worker.dicom_index import Condition
-from worker.dicom_indexer import MAX_ATTRIBUTE_CHARACTERS, Indexer
-from worker.dicom_tables import KEYS
+from worker.dicom_index.index import Condition
+from worker.dicom_index.indexer import MAX_ATTRIBUTE_CHARACTERS, Indexer
+from worker.records.database import simulations
+from worker.records.dicom import KEYS
 
 VOLUME = "tomosynthesis.dcm"
 LABELS = "labels.dcm"

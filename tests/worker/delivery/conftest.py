@@ -22,10 +22,10 @@ from pydicom.uid import (
     ExplicitVRLittleEndian,
 )
 
-from worker.database import connect
-from worker.deliveries import Deliveries, Item, Request
 from worker.delivery.sender import Sender
-from worker.destinations import Destination, Destinations
+from worker.records.database import connect
+from worker.records.deliveries import Deliveries, Item, Request
+from worker.records.destinations import Destination, Destinations
 from worker.storage import open_store
 
 MG = str(DigitalMammographyXRayImageStorageForProcessing)
@@ -125,7 +125,7 @@ class Room:
             self.due(identifier)
 
     def due(self, identifier):
-        from worker.deliveries import deliveries
+        from worker.records.deliveries import deliveries
 
         with self.engine.begin() as connection:
             connection.execute(deliveries.update().where(deliveries.c.id == identifier).values(not_before=None))

@@ -15,7 +15,7 @@ import pytest
 from worker.delivery import association
 from worker.delivery.association import Throttle
 from worker.delivery.echo import echo
-from worker.processes import environment
+from worker.serve.processes import environment
 
 _spec = importlib.util.spec_from_file_location("delivery_peers_too", Path(__file__).parent / "peers.py")
 peers = importlib.util.module_from_spec(_spec)
@@ -90,8 +90,8 @@ def test_a_worker_that_stops_gives_the_delivery_back(room):
 
 WORKER = """
 import sys, threading
-from worker.database import connect
-from worker.deliveries import Deliveries
+from worker.records.database import connect
+from worker.records.deliveries import Deliveries
 from worker.delivery.sender import Sender
 from worker.settings import Settings
 from worker.storage import open_store

@@ -5,10 +5,10 @@ import threading
 
 import pytest
 
-from worker.deliveries import Deliveries, Item, Request
 from worker.delivery.outcomes import no_answer, of_status
-from worker.destinations import Destination, Destinations, InUseError, NameTakenError
-from worker.leases import NotFoundError, StateError
+from worker.records.deliveries import Deliveries, Item, Request
+from worker.records.destinations import Destination, Destinations, InUseError, NameTakenError
+from worker.records.leases import NotFoundError, StateError
 
 AGAIN = no_answer("the link broke", "PEER", "US")
 ERROR = {"kind": "system", "code": "test", "message": "for the test"}

@@ -1,0 +1,460 @@
+"""Deliveries: what goes to a destination, and how far each instance has come. Tables and repository.
+
+A delivery is a row on lease like a simulation (``records.leases``). Its instances are written down when it is asked
+for; each is marked as stored in the transaction that follows the peer's answer, so whoever goes on later sends only
+what is missing. At a time one delivery runs to a destination: its limits hold whatever the number of workers.
+"""
+
+from __future__ import annotations
+
+import fnmatch
+import uuid
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, fields, replace
+from functools import partial
+from typing import Any, ClassVar
+
+import sqlalchemy as sa
+
+from worker.contract import (
+    ACTIVE_STATES,
+    EVENT_PROGRESS,
+    EVENT_STATE,
+    FINAL_STATES,
+    STATES,
+    InstanceState,
+    Queue,
+    State,
+)
+from worker.delivery.outcomes import Outcome
+from worker.records import counters, webhooks
+from worker.records.database import metadata, reading
+from worker.records.destinations import find, lock
+from worker.records.leases import NO_OWNER, Json, Leased, Leases, NotFoundError, StateError
+
+MAX_BACKOFF_SECONDS = 600.0
+
+
+COMMITTED = "committed"
+"""Code of an instance of which the peer has said that it keeps it."""
+
+deliveries = sa.Table(
+    "deliveries",
+    metadata,
+    sa.Column("id", sa.String(32), primary_key=True),
+    sa.Column("state", sa.String(16), nullable=False),
+    # No foreign keys: a delivery stays on record when its case or its destination is forgotten.
+    sa.Column("destination_id", sa.String(32), nullable=False),
+    sa.Column("destination_name", sa.String(64), nullable=False),
+    sa.Column("simulation_id", sa.String(32)),
+    sa.Column("study_id", sa.String(32)),
+    sa.Column("automatic", sa.Boolean, nullable=False),
+    sa.Column("revision", sa.Integer, nullable=False, default=1),
+    sa.Column("created", sa.Double, nullable=False),
+    sa.Column("started", sa.Double),
+    sa.Column("finished", sa.Double),
+    sa.Column("attempt", sa.Integer, nullable=False, default=0),
+    # How often it was tried since an instance was last stored.
+    sa.Column("failures", sa.Integer, nullable=False, default=0),
+    sa.Column("not_before", sa.Double),
+    sa.Column("sent", sa.Double),
+    sa.Column("owner", sa.String(200)),
+    sa.Column("lease_until", sa.Double),
+    sa.Column("message", sa.Text, nullable=False, default=""),
+    sa.Column("error", sa.JSON(none_as_null=True)),
+    sa.Column("instances", sa.Integer, nullable=False),
+    sa.Column("instances_stored", sa.Integer, nullable=False, default=0),
+    sa.Column("instances_failed", sa.Integer, nullable=False, default=0),
+    sa.Column("bytes", sa.BigInteger, nullable=False),
+    sa.Column("bytes_stored", sa.BigInteger, nullable=False, default=0),
+    sa.Index("deliveries_by_age", "created", "id"),
+    sa.Index("deliveries_by_destination", "destination_id", "state"),
+    sa.Index("deliveries_by_simulation", "simulation_id"),
+)
+
+instances = sa.Table(
+    "delivery_instances",
+    metadata,
+    sa.Column("delivery_id", sa.String(32), sa.ForeignKey("deliveries.id", ondelete="CASCADE"), primary_key=True),
+    sa.Column("number", sa.Integer, primary_key=True),
+    sa.Column("destination_id", sa.String(32), nullable=False),
+    sa.Column("simulation_id", sa.String(32), nullable=False),
+    sa.Column("name", sa.Text, nullable=False),
+    sa.Column("sha256", sa.String(64), nullable=False),
+    sa.Column("size", sa.BigInteger, nullable=False),
+    # Of the file's meta information; NULL until it was read.
+    sa.Column("sop_instance", sa.String(64)),
+    sa.Column("state", sa.String(16), nullable=False),
+    sa.Column("attempts", sa.Integer, nullable=False, default=0),
+    sa.Column("status", sa.Integer),
+    sa.Column("code", sa.String(64)),
+    sa.Column("message", sa.Text, nullable=False, default=""),
+    sa.Column("finished", sa.Double),
+    sa.Index("delivery_instances_by_uid", "sop_instance", "destination_id"),
+)
+
+delivery_events = sa.Table(
+    "delivery_events",
+    metadata,
+    sa.Column("delivery_id", sa.String(32), sa.ForeignKey("deliveries.id", ondelete="CASCADE"), primary_key=True),
+    sa.Column("sequence", sa.Integer, primary_key=True),
+    sa.Column("at", sa.Double, nullable=False),
+    sa.Column("kind", sa.String(16), nullable=False),
+    sa.Column("data", sa.JSON, nullable=False),
+)
+
+
+@dataclass(frozen=True)
+class Delivery(Leased):
+    """A row. not_before: seconds since 1970 before which it is not tried again."""
+
+    destination_id: str
+    destination_name: str
+    simulation_id: str | None
+    study_id: str | None
+    automatic: bool
+    failures: int
+    not_before: float | None
+    message: str
+    instances: int
+    instances_stored: int
+    instances_failed: int
+    bytes: int
+    bytes_stored: int
+
+    @property
+    def queue(self) -> Queue:
+        return "delivery"
+
+
+@dataclass(frozen=True)
+class Instance:
+    """A file on its way. size: bytes; status: of the C-STORE response; finished: seconds since 1970."""
+
+    number: int
+    simulation_id: str
+    name: str
+    sha256: str
+    size: int
+    sop_instance: str | None
+    state: InstanceState
+    attempts: int
+    status: int | None
+    code: str | None
+    message: str
+    finished: float | None
+
+
+@dataclass(frozen=True)
+class Item:
+    """A file to be sent, as the manifest of its case names it."""
+
+    simulation_id: str
+    name: str
+    sha256: str
+    size: int
+
+
+@dataclass(frozen=True)
+class Request:
+    """What a delivery is asked to be. simulation_id, study_id: what was asked for; None where it is not that."""
+
+    destination: str
+    items: Sequence[Item]
+    simulation_id: str | None = None
+    study_id: str | None = None
+    automatic: bool = False
+
+
+def items_of(simulation_id: str, manifest: Json, patterns: Sequence[str] = ()) -> list[Item]:
+    """The DICOM files of a case whose names match one of the patterns (``projections/*``); all where there is none."""
+    files = manifest.get("files", {})
+    chosen = sorted(name for name in files if name.endswith(".dcm") and matches(name, patterns))
+    return [Item(simulation_id, name, files[name]["sha256"], files[name]["size"]) for name in chosen]
+
+
+def matches(name: str, patterns: Sequence[str]) -> bool:
+    return not patterns or any(fnmatch.fnmatchcase(name, pattern) for pattern in patterns)
+
+
+def unfinished(connection: sa.Connection, destination_id: str) -> int:
+    """How many deliveries to a destination have not ended."""
+    c = deliveries.c
+    query = sa.select(sa.func.count()).where(c.destination_id == destination_id, c.state.not_in(FINAL_STATES))
+    return connection.scalar(query) or 0
+
+
+_INSTANCE_COLUMNS = [instances.c[f.name] for f in fields(Instance)]
+
+
+class Deliveries(Leases[Delivery]):
+    """Repository of deliveries, their instances and events."""
+
+    table = deliveries
+    events = delivery_events
+    row_type = Delivery
+    what = "delivery"
+    no_progress: ClassVar[Json] = {"message": ""}
+
+    # What clients ask for
+
+    def create(self, request: Request, identifier: str | None = None) -> Delivery:
+        """A new queued delivery. identifier: a new one where not given.
+
+        raises: NotFoundError where there is no such destination
+        """
+        with self.engine.begin() as connection:
+            found = find(connection, request.destination)
+            request = replace(request, destination=found.id)
+            return self._insert(connection, request, found.definition.name, identifier or uuid.uuid4().hex)
+
+    def _insert(self, connection: sa.Connection, request: Request, destination_name: str, identifier: str) -> Delivery:
+        row = {
+            "id": identifier,
+            "state": "queued",
+            "destination_id": request.destination,
+            "destination_name": destination_name,
+            "simulation_id": request.simulation_id,
+            "study_id": request.study_id,
+            "automatic": request.automatic,
+            "created": self.clock(),
+            "instances": len(request.items),
+            "bytes": sum(item.size for item in request.items),
+        }
+        connection.execute(deliveries.insert().values(row))
+        rows = [
+            {
+                "delivery_id": identifier,
+                "number": number,
+                "destination_id": request.destination,
+                "state": "waiting",
+                **{f.name: getattr(item, f.name) for f in fields(Item)},
+            }
+            for number, item in enumerate(request.items)
+        ]
+        if rows:
+            connection.execute(instances.insert(), rows)
+        self._record(connection, identifier, 1, EVENT_STATE, {"state": "queued"})
+        return self._one(connection, identifier)
+
+    def insert_automatic(self, connection: sa.Connection, simulation_id: str, wanted: Json, manifest: Json) -> None:
+        """The delivery that was asked for with a simulation, in the transaction in which that succeeds."""
+        items = items_of(simulation_id, manifest, wanted.get("files", ()))
+        request = Request(wanted["destination"], items, simulation_id=simulation_id, automatic=True)
+        # Where the destination was removed meanwhile, the delivery fails and says so.
+        self._insert(connection, request, wanted["name"], uuid.uuid4().hex)
+
+    def page(
+        self,
+        limit: int,
+        before: tuple[float, str] | None = None,
+        *,
+        state: State | None = None,
+        simulation_id: str | None = None,
+        study_id: str | None = None,
+        destination_id: str | None = None,
+    ) -> list[Delivery]:
+        """The newest first; ``before``: (created, id) of the last one already seen."""
+        asked = {"state": state, "simulation_id": simulation_id, "study_id": study_id, "destination_id": destination_id}
+        return self._page(limit, before, *(deliveries.c[k] == v for k, v in asked.items() if v is not None))
+
+    def instances(
+        self, identifier: str, *, state: InstanceState | None = None, after: int = -1, limit: int | None = None
+    ) -> list[Instance]:
+        """The instances of a delivery with a larger number than ``after``, in order."""
+        c = instances.c
+        query = sa.select(*_INSTANCE_COLUMNS).where(c.delivery_id == identifier, c.number > after).order_by(c.number)
+        if state is not None:
+            query = query.where(c.state == state)
+        with reading(self.engine) as connection:
+            return [Instance(**row) for row in connection.execute(query.limit(limit)).mappings()]
+
+    def retry(self, identifier: str) -> Delivery:
+        """Queues a failed or cancelled delivery again: what was not stored is sent.
+
+        raises: NotFoundError, StateError
+        """
+        values: Json = {**self.no_progress, **NO_OWNER, "state": "queued", "attempt": 0, "sent": None, "error": None}
+        values |= {"started": None, "finished": None, "failures": 0, "not_before": None, "instances_failed": 0}
+        anew: Json = {"state": "waiting", "attempts": 0, "status": None, "code": None, "message": "", "finished": None}
+        c = instances.c
+        with self.engine.begin() as connection:
+            if not self._change(connection, identifier, ["failed", "cancelled"], values):
+                raise StateError(self._one(connection, identifier).state)
+            connection.execute(instances.update().where(c.delivery_id == identifier, c.state != "stored").values(anew))
+            return self._one(connection, identifier)
+
+    # What workers do
+
+    def _may_claim(self, connection: sa.Connection, identifier: str) -> bool:
+        try:
+            row = self._one(connection, identifier)
+        except NotFoundError:
+            return False
+        if row.not_before is not None and row.not_before > self.clock():
+            return False
+        lock(connection, row.destination_id)
+        return not connection.scalar(sa.select(sa.exists(_active(row.destination_id))))
+
+    def identify(self, identifier: str, number: int, sop_instance: str) -> None:
+        """Writes down the UID that was read from a file."""
+        c = instances.c
+        with self.engine.begin() as connection:
+            mine = (c.delivery_id == identifier, c.number == number)
+            connection.execute(instances.update().where(*mine).values(sop_instance=sop_instance))
+
+    def other_version(self, destination_id: str, sop_instance: str, sha256: str) -> bool:
+        """Whether the destination has stored another file under this UID."""
+        c = instances.c
+        query = sa.select(c.number).where(
+            c.sop_instance == sop_instance, c.destination_id == destination_id, c.state == "stored", c.sha256 != sha256
+        )
+        with reading(self.engine) as connection:
+            return connection.execute(query.limit(1)).first() is not None
+
+    def record(self, identifier: str, number: int, outcome: Outcome, max_attempts: int) -> InstanceState:
+        """Writes down what a peer answered, whoever owns the delivery now: what is stored is stored.
+
+        An instance that may be tried again has failed after ``max_attempts``. The state it is in now.
+        """
+        states: dict[str, InstanceState] = {"stored": "stored", "refused": "failed", "again": "waiting"}
+        state = states[outcome.verdict]
+        i, d = instances.c, deliveries.c
+        mine = (i.delivery_id == identifier, i.number == number)
+        with self.engine.begin() as connection:
+            found = connection.execute(
+                sa.select(i.state, i.attempts, i.size, i.name).where(*mine).with_for_update()
+            ).one()
+            if found.state != "waiting":
+                return found.state  # type: ignore[no-any-return]
+            if outcome.verdict == "again" and found.attempts + 1 >= max_attempts:
+                state = "failed"
+            values: Json = {
+                "state": state,
+                "attempts": i.attempts + 1,
+                "status": outcome.status,
+                "code": outcome.code,
+                "message": outcome.message,
+                "finished": None if state == "waiting" else self.clock(),
+            }
+            connection.execute(instances.update().where(*mine).values(values))
+            counts: Json = {}
+            if state == "stored":
+                counts = {
+                    "instances_stored": d.instances_stored + 1,
+                    "bytes_stored": d.bytes_stored + found.size,
+                    "failures": 0,
+                }
+            elif state == "failed":
+                counts = {"instances_failed": d.instances_failed + 1}
+            data = {"instance": number, "name": found.name, "instance_state": state, **_told(outcome)}
+            message = f"{found.name}: {outcome.message or state}"
+            self._change(connection, identifier, STATES, {"message": message, **counts}, kind=EVENT_PROGRESS, data=data)
+        return state
+
+    def uncommitted(self, identifier: str) -> list[Instance]:
+        """Instances that are stored and of which the peer has not said yet that it keeps them, in order."""
+        c = instances.c
+        query = sa.select(*_INSTANCE_COLUMNS).where(
+            c.delivery_id == identifier, c.state == "stored", c.code != COMMITTED
+        )
+        with reading(self.engine) as connection:
+            return [Instance(**row) for row in connection.execute(query.order_by(c.number)).mappings()]
+
+    def commit(self, identifier: str, committed: Sequence[int], failed: Mapping[int, str]) -> None:
+        """Writes down a report of storage commitment. committed, failed: numbers of instances; why they failed."""
+        c, d = instances.c, deliveries.c
+        with self.engine.begin() as connection:
+            for number in committed:
+                mine = (c.delivery_id == identifier, c.number == number, c.state == "stored")
+                connection.execute(instances.update().where(*mine).values(code=COMMITTED))
+            sizes = 0
+            for number, reason in failed.items():
+                mine = (c.delivery_id == identifier, c.number == number, c.state == "stored")
+                values = {"state": "failed", "code": "not-committed", "message": f"the peer does not keep it: {reason}"}
+                sizes += connection.scalar(instances.update().where(*mine).values(values).returning(c.size)) or 0
+            counts = {
+                "instances_stored": d.instances_stored - len(failed),
+                "instances_failed": d.instances_failed + len(failed),
+                "bytes_stored": d.bytes_stored - sizes,
+                "message": f"{len(committed)} instances committed, {len(failed)} not",
+            }
+            data = {"committed": len(committed), "not_committed": len(failed)}
+            self._change(connection, identifier, STATES, counts, kind=EVENT_PROGRESS, data=data)
+
+    def progress(self, identifier: str, owner: str, message: str) -> bool:
+        """Says what is going on and renews the lease; False where the delivery is not the owner's any more."""
+        values = {"message": message, "lease_until": self.clock() + self.lease_seconds}
+        mine = deliveries.c.owner == owner
+        with self.engine.begin() as connection:
+            return self._change(
+                connection, identifier, ["running"], values, mine, kind=EVENT_PROGRESS, data={"message": message}
+            )
+
+    def succeed(self, identifier: str, owner: str) -> bool:
+        """Ends a delivery of the owner: every instance is stored."""
+        return self._finish(identifier, owner, self._final("succeeded", error=None, message=""))
+
+    def postpone(self, identifier: str, owner: str, error: Json, max_attempts: int, backoff_seconds: float) -> bool:
+        """Gives a delivery back that was not finished: tried again later, failed after ``max_attempts`` in vain."""
+        failures = self.get(identifier).failures + 1
+        if failures >= max_attempts:
+            return self.fail(identifier, owner, error)
+        wait = min(MAX_BACKOFF_SECONDS, backoff_seconds * 2 ** min(failures - 1, 30))
+        values = {
+            **NO_OWNER,
+            "state": "queued",
+            "sent": None,
+            "error": error,
+            "failures": failures,
+            "not_before": self.clock() + wait,
+            "message": f"tried again in {wait:g} s: {error['message']}",
+        }
+        return self._finish(identifier, owner, values)
+
+    def _ended(self, connection: sa.Connection, identifiers: Sequence[str]) -> None:
+        rows = [self._one(connection, identifier) for identifier in identifiers]
+        webhooks.announce(connection, self.clock(), "delivery.finished", *(partial(_finished, row) for row in rows))
+        for row in rows[:1]:
+            counters.add(connection, {(counters.DELIVERIES_ENDED, row.state): float(len(rows))})
+
+    # What the sweep does
+
+    def unsent(self, limit: int = 100) -> list[Delivery]:
+        """Queued deliveries without a message whose time has come and whose destination is free, oldest first."""
+        c = deliveries.c
+        due = sa.or_(c.not_before.is_(None), c.not_before <= self.clock())
+        active = deliveries.alias()
+        busy = sa.select(active.c.id).where(active.c.destination_id == c.destination_id)
+        busy = busy.where(active.c.state.in_(ACTIVE_STATES))
+        return self._queued(sa.and_(c.sent.is_(None), due, ~sa.exists(busy)), limit)
+
+    def sent_to(self, queue: Queue, before: float) -> list[Delivery]:
+        """Queued deliveries whose message was sent before that time, oldest first."""
+        return self.sent_before(before)
+
+
+def _active(destination_id: str) -> sa.Select[Any]:
+    c = deliveries.c
+    return sa.select(c.id).where(c.destination_id == destination_id, c.state.in_(ACTIVE_STATES))
+
+
+def _finished(row: Delivery) -> Json:
+    """What a webhook is told of a delivery that ended."""
+    told = ("id", "state", "destination_id", "destination_name", "simulation_id", "study_id", "instances")
+    return {
+        **{name: getattr(row, name) for name in told},
+        "instances_stored": row.instances_stored,
+        "instances_failed": row.instances_failed,
+        "error": row.error,
+        "href": f"/v1/deliveries/{row.id}",
+    }
+
+
+def _told(outcome: Outcome) -> Json:
+    told: Json = {"code": outcome.code}
+    if outcome.message:
+        told["message"] = outcome.message
+    if outcome.status is not None:
+        told["status"] = f"0x{outcome.status:04X}"
+    return told

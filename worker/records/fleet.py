@@ -1,0 +1,72 @@
+"""What is known of the workers and of the queue as a whole: for readiness and metrics."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+
+import sqlalchemy as sa
+
+from worker.records.database import reading, simulations, workers
+
+BEAT_SECONDS = 3.0
+"""Interval at which a worker says that it is alive."""
+
+SILENT_SECONDS = 15.0
+"""A worker that was silent for longer counts as gone."""
+
+
+DELIVERY_PREFIX = "delivery@"
+"""How names of workers begin that deliver."""
+
+
+class Fleet:
+    """Repository of workers and counts."""
+
+    def __init__(self, engine: sa.Engine, clock: Callable[[], float] = time.time) -> None:
+        self.engine = engine
+        self.clock = clock
+
+    def beat(self, worker: str, slots: int) -> None:
+        """A worker says that it is alive."""
+        values = {"slots": slots, "seen": self.clock()}
+        with self.engine.begin() as connection:
+            if not connection.execute(workers.update().where(workers.c.name == worker).values(values)).rowcount:
+                connection.execute(workers.insert().values(name=worker, **values))
+
+    def gone(self, worker: str) -> None:
+        """A worker has stopped."""
+        with self.engine.begin() as connection:
+            connection.execute(workers.delete().where(workers.c.name == worker))
+
+    def forget(self, silent_seconds: float) -> None:
+        """Removes workers that have not been heard of for so long."""
+        with self.engine.begin() as connection:
+            connection.execute(workers.delete().where(workers.c.seen < self.clock() - silent_seconds))
+
+    def alive(self, within_seconds: float = SILENT_SECONDS, host: str | None = None, *, delivery: bool = False) -> int:
+        """How many workers (of a machine) said within these seconds that they are alive.
+
+        delivery: those that deliver instead of those that simulate.
+        """
+        prefix = DELIVERY_PREFIX if delivery else ""
+        query = sa.select(sa.func.count()).where(workers.c.seen > self.clock() - within_seconds)
+        query = query.where(workers.c.name.startswith(DELIVERY_PREFIX, autoescape=True) == delivery)
+        if host is not None:
+            query = query.where(workers.c.name.startswith(f"{prefix}{host}:", autoescape=True))
+        with reading(self.engine) as connection:
+            return connection.scalar(query) or 0
+
+    def ping(self) -> None:
+        """raises: sqlalchemy.exc.SQLAlchemyError where the database does not answer or has no tables."""
+        with reading(self.engine) as connection:
+            connection.execute(sa.select(simulations.c.id).limit(1))
+
+    def queues(self) -> dict[str, tuple[int, float]]:
+        """How many simulations wait in a queue, and the seconds for which the oldest of them has been there."""
+        c = simulations.c
+        query = sa.select(c.queue, sa.func.count(), sa.func.min(c.created)).where(c.state == "queued").group_by(c.queue)
+        now = self.clock()
+        with reading(self.engine) as connection:
+            rows = connection.execute(query).all()
+        return {str(queue): (int(number), max(0.0, now - oldest)) for queue, number, oldest in rows}
