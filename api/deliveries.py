@@ -23,9 +23,9 @@ from api.resources import PREFIX, FailureResource, simulation_path, when
 from api.simulations import RETRY_AFTER
 from simcore.core.store import FileRef
 from worker.contract import InstanceState, State
-from worker.records.deliveries import Delivery, Instance, Item, items_of
-from worker.records.deliveries import Request as DeliveryRequest
-from worker.records.leases import NotFoundError, StateError
+from worker.records.delivery_tables import Delivery, Instance, Item, items_of
+from worker.records.delivery_tables import Request as DeliveryRequest
+from worker.records.rows import NotFoundError, StateError
 
 log = logging.getLogger(__name__)
 

@@ -9,7 +9,7 @@ from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from api.resources import FailureResource
 from worker.contract import InstanceState, State
-from worker.records.destination_spec import Destination
+from worker.destination_spec import Destination
 
 
 class DestinationResource(Destination):

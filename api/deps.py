@@ -21,9 +21,10 @@ from worker.records.deliveries import Deliveries
 from worker.records.destinations import Destinations
 from worker.records.fleet import Fleet
 from worker.records.idempotency import Idempotency
-from worker.records.jobs import Jobs, NotFoundError
+from worker.records.jobs import Jobs
 from worker.records.keys import Keys, check_address
 from worker.records.retention import Retention
+from worker.records.rows import NotFoundError
 from worker.records.studies import Studies
 from worker.records.webhooks import Webhooks
 from worker.settings import Settings

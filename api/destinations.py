@@ -17,8 +17,9 @@ from api.errors import ApiError
 from api.idempotency import IdempotentRoute, Making
 from api.resources import PREFIX, when
 from worker.delivery.addresses import DestinationNotAllowed, require_allowed
-from worker.records.destinations import Destination, DestinationRow, InUseError, NameTakenError
-from worker.records.leases import NotFoundError
+from worker.destination_spec import Destination
+from worker.records.destinations import DestinationRow, InUseError, NameTakenError
+from worker.records.rows import NotFoundError
 
 MERGE_PATCH = "application/merge-patch+json"
 

@@ -18,9 +18,9 @@ from starlette.routing import Match
 from simcore.core.errors import ResourceLimitError, SimulationError, SpecError, StoreError
 from worker import logs
 from worker.records.database import AWAY
-from worker.records.jobs import NotFoundError
 from worker.records.quotas import QuotaError
 from worker.records.retention import ExpiredError
+from worker.records.rows import NotFoundError
 
 log = logging.getLogger(__name__)
 

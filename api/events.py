@@ -19,7 +19,8 @@ from api.errors import ApiError
 from api.resources import simulation_path
 from worker.contract import EVENT_STATE, FINAL_STATES
 from worker.records.database import AWAY
-from worker.records.leases import Event, Leases
+from worker.records.leases import Leases
+from worker.records.rows import Event
 
 log = logging.getLogger(__name__)
 

@@ -28,8 +28,8 @@ from api.deps import read_body, services
 from api.errors import ApiError
 from simcore.core.errors import SimulationError
 from worker.records.idempotency import Claim, Idempotency, KeyBusyError, KeyReusedError
-from worker.records.leases import NotFoundError
 from worker.records.quotas import QuotaError
+from worker.records.rows import NotFoundError
 
 log = logging.getLogger(__name__)
 

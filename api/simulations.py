@@ -23,7 +23,8 @@ from simcore.phantom.upload import registry
 from simcore.phantom.upload.spec import UploadedPhantom
 from simcore.spec import SimulationSpec
 from worker.contract import Device, Priority, Queue, State, queue_of
-from worker.records.jobs import NotFoundError, Simulation, StateError
+from worker.records.jobs import Simulation
+from worker.records.rows import NotFoundError, StateError
 
 log = logging.getLogger(__name__)
 

@@ -25,7 +25,7 @@ from api.webhook_resources import (
     webhook_path,
     webhook_resource,
 )
-from worker.records.leases import NotFoundError, StateError
+from worker.records.rows import NotFoundError, StateError
 from worker.upkeep import outbound
 
 MAX_WEBHOOKS = 100

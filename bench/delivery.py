@@ -125,15 +125,18 @@ def _deliver(files: Path, port: int) -> None:
     """Delivers once and prints the seconds it took and the peak memory of this process, MB."""
     from simcore.core.store import Store, file_digest
     from worker.delivery.sender import Sender
-    from worker.records.database import connect, create_tables
-    from worker.records.deliveries import Deliveries, Item, Request
-    from worker.records.destinations import Destination, Destinations
+    from worker.destination_spec import Destination
+    from worker.records import schema
+    from worker.records.database import connect
+    from worker.records.deliveries import Deliveries
+    from worker.records.delivery_tables import Item, Request
+    from worker.records.destinations import Destinations
     from worker.settings import Settings
 
     with tempfile.TemporaryDirectory(prefix="data", dir=files.parent) as folder:
         settings = Settings.load(data_folder=Path(folder))
         engine = connect(settings.resolved_database_url)
-        create_tables(engine)
+        schema.upgrade(engine)
         store = Store(settings.store_folder)
         items = []
         for path in sorted(files.iterdir()):

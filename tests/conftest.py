@@ -21,7 +21,8 @@ import sqlalchemy as sa
 
 from simcore.core.bucket import Location
 from simcore.core.store import Store
-from worker.records.database import connect, create_tables
+from worker.records import schema
+from worker.records.database import connect
 from worker.records.migrations.tables import metadata
 
 
@@ -73,7 +74,7 @@ def sqlite_template(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A database file with all tables: a copy of it spares a test the migrations."""
     path = tmp_path_factory.mktemp("template") / "tomosim.db"
     engine = connect(f"sqlite:///{path}")
-    create_tables(engine)
+    schema.upgrade(engine)
     engine.dispose()  # the last connection empties the write-ahead log into the file
     return path
 
@@ -265,7 +266,7 @@ def _create_database(postgres_url: str) -> str:
     engine.dispose()
     url = postgres_url.replace("/postgres?", f"/{name}?")
     engine = connect(url)
-    create_tables(engine)
+    schema.upgrade(engine)
     engine.dispose()
     return url
 

@@ -13,7 +13,7 @@ from pydantic import ValidationError
 from simcore.core.errors import SimulationError
 from simcore.spec import spec_error
 from worker.contract import FINAL_STATES
-from worker.records.destination_spec import Destination
+from worker.destination_spec import Destination
 
 if TYPE_CHECKING:
     from tomosim.client import Client

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Literal, get_args
+from typing import Any, Literal, get_args
 
 State = Literal["queued", "running", "cancelling", "succeeded", "failed", "cancelled"]
 """queued -> running -> succeeded | failed; queued | running -> (cancelling ->) cancelled."""
@@ -71,3 +71,14 @@ OUT_OF_MEMORY = "out-of-memory"
 TIMEOUT = "timeout"
 WORKER_LOST = "worker-lost"
 INTERNAL_ERROR = "internal-error"
+
+
+def failure(code: str, message: str, kind: str = "system") -> dict[str, Any]:
+    """Why a case or a delivery failed, as its row keeps it."""
+    return {"kind": kind, "code": code, "message": message}
+
+
+def internal_failure(error: Exception) -> dict[str, Any]:
+    """The same of an error that nobody expected."""
+    text = f"{type(error).__name__}: {error} (a mistake in tomosim; the worker's log has the details)"
+    return failure(INTERNAL_ERROR, text)

@@ -17,7 +17,6 @@ from simcore.core.bucket import Location
 from simcore.core.errors import SimulationError, StoreError
 from simcore.core.memory import physical_bytes
 from worker.contract import SIMULATION_QUEUES
-from worker.delivery.addresses import check_entry
 
 ENV_PREFIX = "TOMOSIM_"
 
@@ -156,7 +155,10 @@ class Settings(BaseSettings):
     @classmethod
     def _hosts(cls, value: str) -> str:
         for entry in _names(value):
-            check_entry(entry)
+            if network_of(entry) is None and ("/" in entry or not entry.removeprefix("*.").strip(".")):
+                raise ValueError(
+                    f"{entry!r} is neither a host name, '*.domain', an address nor a network such as 10.1.0.0/16"
+                )
         return value
 
     @field_validator("admin_key")
@@ -207,7 +209,7 @@ class Settings(BaseSettings):
     @field_validator("cors_origins")
     @classmethod
     def _only_origins(cls, value: str) -> str:
-        for origin in _listed(value):
+        for origin in _names(value):
             if not re.fullmatch(r"https?://(\[[0-9a-fA-F:.]+\]|[A-Za-z0-9.-]+)(:[0-9]{1,5})?", origin):
                 raise ValueError(
                     f"{origin!r} is no origin: scheme, host and port alone are allowed, as in "
@@ -218,7 +220,7 @@ class Settings(BaseSettings):
     @property
     def viewer_origins(self) -> list[str]:
         """The pages that may read /dicomweb."""
-        return _listed(self.cors_origins)
+        return _names(self.cors_origins)
 
     @property
     def store_folder(self) -> Path:
@@ -315,10 +317,6 @@ def _from_files() -> dict[str, str]:
     return found
 
 
-def _listed(value: str) -> list[str]:
-    return [part.strip() for part in value.split(",") if part.strip()]
-
-
 def is_loopback(host: str) -> bool:
     """Whether an address can be reached from this machine only."""
     if host == "localhost":
@@ -327,6 +325,14 @@ def is_loopback(host: str) -> bool:
         return ipaddress.ip_address(host.strip("[]")).is_loopback
     except ValueError:
         return False
+
+
+def network_of(entry: str) -> ipaddress.IPv4Network | ipaddress.IPv6Network | None:
+    """The network (an address: of itself alone) that an entry of TOMOSIM_DESTINATION_HOSTS names; None: a name."""
+    try:
+        return ipaddress.ip_network(entry)
+    except ValueError:
+        return None
 
 
 def _names(text: str) -> list[str]:

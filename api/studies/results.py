@@ -23,8 +23,8 @@ from api.events import HEARTBEAT_SECONDS, RECONNECT_MILLISECONDS
 from api.studies import tables
 from api.studies.resources import CasePage, case_resource, folder_name, study_resource
 from worker.contract import State
-from worker.records.jobs import NotFoundError
 from worker.records.retention import ExpiredError, is_expired
+from worker.records.rows import NotFoundError
 from worker.records.studies import Studies, Study
 
 POLL_SECONDS = 1.0

@@ -20,7 +20,7 @@ from api.studies.checking import check
 from api.studies.resources import StudyEstimate, StudyPage, StudyResource, study_path, study_resource
 from simcore.study import StudySpec, columns
 from worker.contract import Device, Priority, State
-from worker.records.jobs import NotFoundError
+from worker.records.rows import NotFoundError
 from worker.records.studies import Study
 
 log = logging.getLogger(__name__)

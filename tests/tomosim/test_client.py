@@ -23,7 +23,7 @@ from tomosim import client as clients
 from tomosim.client import AsyncClient, Client, Retrying, ServiceError, twin
 from tomosim.client.files import Partial
 from worker.compute.supervisor import Slot
-from worker.records.destination_spec import Destination
+from worker.destination_spec import Destination
 from worker.settings import Settings
 
 AT_ONCE = Retrying(first_seconds=0.0, longest_seconds=0.0)

@@ -9,7 +9,8 @@ import pytest
 from simcore.core.errors import StoreError
 from simcore.core.store import Store
 from worker.compute.supervisor import Slot
-from worker.records.database import connect, create_tables
+from worker.records import schema
+from worker.records.database import connect
 from worker.records.jobs import Jobs
 
 MANY = 1 << 60
@@ -33,7 +34,7 @@ def small_disk(tmp_path):
 def test_a_case_on_a_full_disk_fails_and_goes_on_when_there_is_space(small_disk, make_settings):
     settings = make_settings(data_folder=small_disk, min_free_bytes=0)
     engine = connect(settings.resolved_database_url)
-    create_tables(engine)
+    schema.upgrade(engine)
     jobs = Jobs(engine)
     slot = Slot("test", settings, jobs, threading.Event())
     try:
@@ -76,7 +77,7 @@ def test_a_write_without_space_is_a_full_disk(tmp_path):
 def test_below_the_floor_no_stage_is_started(make_settings):
     settings = make_settings(min_free_bytes=MANY)
     engine = connect(settings.resolved_database_url)
-    create_tables(engine)
+    schema.upgrade(engine)
     jobs = Jobs(engine)
     slot = Slot("test", settings, jobs, threading.Event())
     try:

@@ -16,8 +16,9 @@ from simcore.core.store import Store
 from simcore.phantom.upload import registry
 from simcore.phantom.upload.reading import Reading
 from simcore.spec import SimulationSpec
-from worker.records.chores import Chores
-from worker.records.database import connect, create_tables, simulations
+from worker.records import schema
+from worker.records.database import connect, simulations
+from worker.records.fleet import Chores
 from worker.records.jobs import Jobs, StageProgress
 from worker.records.retention import ExpiredError, Retention
 from worker.records.studies import NewCase, Studies
@@ -38,7 +39,7 @@ def store(request, tmp_path):
 @pytest.fixture
 def database(tmp_path, backend):
     engine = connect(str(backend.get("database_url", f"sqlite:///{tmp_path / 'garbage.db'}")))
-    create_tables(engine)
+    schema.upgrade(engine)
     yield engine
     engine.dispose()
 

@@ -5,7 +5,8 @@ import threading
 import pytest
 
 from worker.records.fleet import Fleet
-from worker.records.jobs import NotFoundError, StageProgress, StateError
+from worker.records.jobs import StageProgress
+from worker.records.rows import NotFoundError, StateError
 
 ERROR = {"kind": "system", "code": "test", "message": "for the test"}
 MANIFEST = {"files": {}, "results": {"force_N": 100.0}}

@@ -12,7 +12,7 @@ from alembic.migration import MigrationContext
 
 from simcore.core.errors import StoreError
 from worker.records import schema
-from worker.records.database import connect, create_tables, simulations
+from worker.records.database import connect, simulations
 from worker.records.migrations.tables import metadata
 from worker.serve.processes import environment
 
@@ -27,7 +27,7 @@ def engine(request, tmp_path):
     else:
         made = connect(request.getfixturevalue("postgres_url"))
         request.getfixturevalue("empty_postgres")()
-    create_tables(made)
+    schema.upgrade(made)
     yield made
     made.dispose()
 
@@ -110,7 +110,7 @@ def test_an_unknown_revision_names_those_there_are(engine):
 def _open(url, at):
     while time.time() < at:
         pass
-    create_tables(connect(url))
+    schema.upgrade(connect(url))
 
 
 def test_several_processes_start_at_once(engine):

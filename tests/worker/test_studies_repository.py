@@ -6,7 +6,7 @@ import pytest
 import sqlalchemy as sa
 
 from worker.records.database import simulations
-from worker.records.jobs import NotFoundError
+from worker.records.rows import NotFoundError
 from worker.records.studies import NewCase, Studies
 from worker.records.webhooks import Webhooks
 
@@ -170,7 +170,7 @@ def test_how_long_files_are_kept_is_known_though_the_last_cases_did_not_see_one_
 ):
     study = studies.create("mine", {}, ["seed"], {}, [case(1), case(2)], retention=60.0)
     with monkeypatch.context() as patch:
-        patch.setattr("worker.records.jobs.keeping.set_expiry", lambda *_: None)
+        patch.setattr("worker.records.ends.retention.set_expiry", lambda *_: None)
         for row in studies.cases(study.id):
             jobs.claim(row.id, "a")
             jobs.succeed(row.id, "a", {"results": {}, "files": {}})

@@ -15,7 +15,8 @@ import time
 import pytest
 
 from worker.compute.supervisor import Slot, Slots
-from worker.records.database import connect, create_tables
+from worker.records import schema
+from worker.records.database import connect
 from worker.records.jobs import Jobs
 from worker.records.quotas import Submitter
 from worker.serve.processes import environment
@@ -48,7 +49,7 @@ def settings(make_module_settings):
 @pytest.fixture(scope="module")
 def jobs(settings):
     engine = connect(settings.resolved_database_url)
-    create_tables(engine)
+    schema.upgrade(engine)
     yield Jobs(engine, lease_seconds=settings.lease_seconds)
     engine.dispose()
 

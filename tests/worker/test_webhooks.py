@@ -10,7 +10,7 @@ import sqlalchemy as sa
 from standardwebhooks.webhooks import Webhook as Verifier
 
 from worker.records.jobs import Jobs
-from worker.records.leases import NotFoundError, StateError
+from worker.records.rows import NotFoundError, StateError
 from worker.records.studies import NewCase, Studies
 from worker.records.webhooks import CLAIM_SECONDS, KEEP_SECONDS, RETRY_SECONDS, Attempt, Webhooks
 from worker.upkeep import outbound

@@ -30,7 +30,7 @@ from simcore.estimate import Estimate
 from simcore.phantom.upload.reading import Reading
 from simcore.spec import SimulationSpec
 from simcore.study.spec import StudySpec
-from worker.records.destination_spec import Destination
+from worker.destination_spec import Destination
 
 T = TypeVar("T")
 M = TypeVar("M", bound=BaseModel)

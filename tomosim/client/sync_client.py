@@ -38,7 +38,7 @@ from tomosim.client.files import Downloaded
 from tomosim.client.retrying import Retrying
 from tomosim.client.streams import CaseEvent, EventParser
 from worker.contract import FINAL_STATES, Device, InstanceState, Priority, State, WebhookEvent
-from worker.records.destination_spec import Destination
+from worker.destination_spec import Destination
 
 T = TypeVar("T")
 

@@ -28,7 +28,7 @@ from simcore.core.store import Store
 from simcore.spec import SimulationSpec
 from worker import logs
 from worker.compute.memory import out_of_memory
-from worker.contract import INTERNAL_ERROR
+from worker.contract import internal_failure
 from worker.serve.tether import die_with_parent
 from worker.settings import Settings
 from worker.storage import open_store
@@ -106,7 +106,9 @@ def main() -> None:
         store = open_store(settings)
     except Exception as error:  # said to the supervisor, which reports it as the failure of the next case
         log.exception("the pipeline or the store cannot be loaded")
-        messages.send("failed", error=error.to_dict() if isinstance(error, SimulationError) else _unexpected(error))
+        messages.send(
+            "failed", error=error.to_dict() if isinstance(error, SimulationError) else internal_failure(error)
+        )
         sys.exit(1)
     messages.send("ready", stages=stages)
     for line in commands:
@@ -135,15 +137,7 @@ def _run_case(
         os._exit(OUT_OF_MEMORY_EXIT)
     except Exception as error:
         log.exception("case failed")
-        messages.send("failed", error=_unexpected(error))
-
-
-def _unexpected(error: Exception) -> Json:
-    return {
-        "kind": "system",
-        "code": INTERNAL_ERROR,
-        "message": f"{type(error).__name__}: {error} (a mistake in tomosim; the worker's log has the details)",
-    }
+        messages.send("failed", error=internal_failure(error))
 
 
 def _pipeline(name: str) -> tuple[Callable[..., Any], list[str]]:

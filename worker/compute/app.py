@@ -18,7 +18,7 @@ from sqlalchemy.exc import SQLAlchemyError
 from worker import logs
 from worker.compute.supervisor import Slots
 from worker.contract import TASK_SIMULATE
-from worker.messages import create_celery
+from worker.messages import create_celery, work
 from worker.records import schema
 from worker.records.database import connect
 from worker.records.fleet import BEAT_SECONDS, Fleet
@@ -50,22 +50,8 @@ class Worker:
         signals.worker_ready.connect(self._ready, weak=False)
         signals.worker_shutting_down.connect(self._shutting_down, weak=False)
         open_store(self.settings).sweep_temporary()
-        options = [
-            "--quiet",
-            "worker",
-            "--pool=threads",
-            f"--concurrency={self.settings.worker_slots}",
-            f"--queues={','.join(self.settings.queue_names)}",
-            f"--hostname=tomosim-{os.getpid()}@%h",
-            f"--loglevel={self.settings.log_level}",
-            "--without-gossip",
-            "--without-mingle",
-            "--without-heartbeat",
-        ]
         try:
-            self.celery.worker_main(options)
-        except SystemExit as end:
-            return end.code if isinstance(end.code, int) else int(end.code is not None)
+            return work(self.celery, "tomosim", self.settings.queue_names, self.settings.worker_slots, self.settings)
         finally:
             self.slots.stopping.set()
             self._heart.stop(0.0)
@@ -74,7 +60,6 @@ class Worker:
                 self.fleet.gone(self.name)
             except SQLAlchemyError:
                 log.exception("the end of this worker was not recorded")
-        return 0
 
     def _simulate(self, identifier: str) -> None:
         # An exception that leaves a task makes Celery send the message round the workers. The row is the truth: its

@@ -12,7 +12,7 @@ import signal
 from pathlib import Path
 from typing import Any
 
-from worker.contract import OUT_OF_MEMORY
+from worker.contract import OUT_OF_MEMORY, failure
 
 _LAST_WORDS = re.compile(
     rb"std::bad_alloc|std::bad_array_new_length"  # the C++ runtime, of an exception that nobody caught
@@ -26,23 +26,21 @@ _ROOT = Path("/sys/fs/cgroup")
 
 def out_of_memory(limit: int) -> dict[str, Any]:
     """The error of a case that asked for more memory than it may use [byte]."""
-    return {
-        "kind": "system",
-        "code": OUT_OF_MEMORY,
-        "message": f"the case needed more than the {limit / 1e9:.1f} GB of memory it may use: take larger voxels, "
-        "fewer views or thicker slices, or raise TOMOSIM_MEMORY_LIMIT_BYTES",
-    }
+    text = (
+        f"the case needed more than the {limit / 1e9:.1f} GB of memory it may use: take larger voxels, fewer views or "
+        "thicker slices, or raise TOMOSIM_MEMORY_LIMIT_BYTES"
+    )
+    return failure(OUT_OF_MEMORY, text)
 
 
 def machine_out_of_memory(limit: int) -> dict[str, Any]:
     """The error of a case whose process the kernel killed before it had used what it may [byte]."""
-    return {
-        "kind": "system",
-        "code": OUT_OF_MEMORY,
-        "message": "the machine or container had no memory left and the kernel killed the compute process, which may "
-        f"use {limit / 1e9:.1f} GB: lower TOMOSIM_MEMORY_LIMIT_BYTES or TOMOSIM_WORKER_SLOTS to what there is, give it "
-        "more memory, or take larger voxels or fewer views",
-    }
+    text = (
+        "the machine or container had no memory left and the kernel killed the compute process, which may use "
+        f"{limit / 1e9:.1f} GB: lower TOMOSIM_MEMORY_LIMIT_BYTES or TOMOSIM_WORKER_SLOTS to what there is, give it "
+        "more memory, or take larger voxels or fewer views"
+    )
+    return failure(OUT_OF_MEMORY, text)
 
 
 def explain(code: int, last_words: bytes, limit: int, kernel_killed: bool) -> dict[str, Any] | None:

@@ -14,7 +14,7 @@ from typing import Any
 
 from worker.compute import memory
 from worker.compute.last_words import LastWords
-from worker.contract import COMPUTE_CRASHED
+from worker.contract import COMPUTE_CRASHED, failure
 from worker.serve import processes
 from worker.settings import Settings
 
@@ -142,4 +142,4 @@ def crash_error(code: int) -> Json:
     else:
         what = f"ended with exit code {code}"
         advice = "see the worker's log"
-    return {"kind": "system", "code": COMPUTE_CRASHED, "message": f"the compute process {what}: {advice}"}
+    return failure(COMPUTE_CRASHED, f"the compute process {what}: {advice}")

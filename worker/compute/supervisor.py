@@ -18,7 +18,7 @@ from sqlalchemy.exc import SQLAlchemyError
 from worker import logs
 from worker.compute.process import ComputeDiedError, ComputeProcess
 from worker.compute.watch import Watch, write_end
-from worker.contract import INTERNAL_ERROR, OUT_OF_MEMORY, TIMEOUT
+from worker.contract import OUT_OF_MEMORY, TIMEOUT, failure, internal_failure
 from worker.records.database import AWAY, outlast
 from worker.records.jobs import Jobs, Simulation, StageProgress
 from worker.settings import Settings
@@ -86,7 +86,7 @@ class Slot:
         except Exception as error:
             log.exception("supervision failed")
             self.kill()
-            finish = self._failure(job, owner, _internal(error))
+            finish = self._failure(job, owner, internal_failure(error))
         kept = bool(write_end(finish, self.stopping))
         log.info("ended", extra={"kept": kept})
         if not self.stopping.is_set():
@@ -208,17 +208,8 @@ def _crashed_every_time(error: Json, attempts: int) -> Json:
 
 
 def _timeout(seconds: float) -> Json:
-    return {
-        "kind": "system",
-        "code": TIMEOUT,
-        "message": f"the case ran longer than the {seconds:g} s it may take; stages that finished are kept: retry, "
-        "ask for less, or raise TOMOSIM_JOB_TIMEOUT_SECONDS",
-    }
-
-
-def _internal(error: Exception) -> Json:
-    return {
-        "kind": "system",
-        "code": INTERNAL_ERROR,
-        "message": f"{type(error).__name__}: {error} (a mistake in tomosim; the worker's log has the details)",
-    }
+    text = (
+        f"the case ran longer than the {seconds:g} s it may take; stages that finished are kept: retry, ask for less, "
+        "or raise TOMOSIM_JOB_TIMEOUT_SECONDS"
+    )
+    return failure(TIMEOUT, text)

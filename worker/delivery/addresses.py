@@ -7,6 +7,7 @@ import socket
 from collections.abc import Sequence
 
 from simcore.core.errors import SimulationError
+from worker.settings import network_of
 
 Address = ipaddress.IPv4Address | ipaddress.IPv6Address
 
@@ -18,12 +19,6 @@ class DestinationNotAllowed(SimulationError):
     code = "destination-not-allowed"
 
 
-def check_entry(entry: str) -> None:
-    """raises: ValueError where an entry of the allow-list is neither a network, an address nor a host name"""
-    if _network(entry) is None and ("/" in entry or not entry.removeprefix("*.").strip(".")):
-        raise ValueError(f"{entry!r} is neither a host name, '*.domain', an address nor a network such as 10.1.0.0/16")
-
-
 def require_allowed(host: str, allowed: Sequence[str]) -> bool:
     """Whether the name itself is allowed; where only its address can tell, ``resolve`` will.
 
@@ -31,7 +26,7 @@ def require_allowed(host: str, allowed: Sequence[str]) -> bool:
     """
     if not allowed or any(_matches_name(host, entry) for entry in allowed):
         return True
-    networks = [network for entry in allowed if (network := _network(entry)) is not None]
+    networks = [network for entry in allowed if (network := network_of(entry)) is not None]
     address = _address(host)
     if address is not None and any(address in network for network in networks):
         return True
@@ -50,7 +45,7 @@ def resolve(host: str, port: int, allowed: Sequence[str]) -> str:
     addresses = [str(item[4][0]) for item in sorted(found, key=lambda item: item[0] != socket.AF_INET)]
     if by_name:
         return addresses[0]
-    networks = [network for entry in allowed if (network := _network(entry)) is not None]
+    networks = [network for entry in allowed if (network := network_of(entry)) is not None]
     for address in addresses:
         if any(ipaddress.ip_address(address.partition("%")[0]) in network for network in networks):
             return address
@@ -60,13 +55,6 @@ def resolve(host: str, port: int, allowed: Sequence[str]) -> str:
 def _matches_name(host: str, entry: str) -> bool:
     name, pattern = host.lower().rstrip("."), entry.lower().rstrip(".")
     return name == pattern or (pattern.startswith("*.") and name.endswith(pattern[1:]))
-
-
-def _network(entry: str) -> ipaddress.IPv4Network | ipaddress.IPv6Network | None:
-    try:
-        return ipaddress.ip_network(entry)
-    except ValueError:
-        return None
 
 
 def _address(host: str) -> Address | None:

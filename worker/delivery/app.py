@@ -15,7 +15,7 @@ from sqlalchemy.exc import SQLAlchemyError
 from worker.contract import TASK_DELIVER
 from worker.delivery.commitment import Listener
 from worker.delivery.sender import Sender
-from worker.messages import create_celery
+from worker.messages import create_celery, work
 from worker.records.database import connect
 from worker.records.deliveries import Deliveries
 from worker.records.fleet import BEAT_SECONDS, DELIVERY_PREFIX, Fleet
@@ -51,22 +51,8 @@ class DeliveryWorker:
         """Works until SIGTERM or SIGINT; the exit code."""
         signals.worker_ready.connect(self._ready, weak=False)
         signals.worker_shutting_down.connect(self._shutting_down, weak=False)
-        options = [
-            "--quiet",
-            "worker",
-            "--pool=threads",
-            f"--concurrency={self.settings.delivery_slots}",
-            "--queues=delivery",
-            f"--hostname=tomosim-delivery-{os.getpid()}@%h",
-            f"--loglevel={self.settings.log_level}",
-            "--without-gossip",
-            "--without-mingle",
-            "--without-heartbeat",
-        ]
         try:
-            self.celery.worker_main(options)
-        except SystemExit as end:
-            return end.code if isinstance(end.code, int) else int(end.code is not None)
+            return work(self.celery, "tomosim-delivery", ["delivery"], self.settings.delivery_slots, self.settings)
         finally:
             self.stopping.set()
             self._heart.stop(0.0)
@@ -76,7 +62,6 @@ class DeliveryWorker:
                 self.fleet.gone(self.name)
             except SQLAlchemyError:
                 log.exception("the end of this worker was not recorded")
-        return 0
 
     def _deliver(self, identifier: str) -> None:
         # As in worker.compute.app: an exception would send the message round the workers; the row is the truth.

@@ -1,19 +1,10 @@
-"""An association with a destination: opened, tested, instances stored, closed. On pynetdicom.
-
-What pynetdicom leaves open is closed here: why a connection failed, a peer that stops reading (a time limit on every
-byte of the socket: nothing else ends a blocked send), memory (the sender waits for the network instead of queueing a
-whole file), bandwidth, and an end that does not wait for the peer.
-"""
+"""An association with a destination: opened, tested, instances stored, closed. On pynetdicom (``overrides``)."""
 
 from __future__ import annotations
 
 import contextlib
-import logging
-import queue
 import socket
 import ssl
-import struct
-import threading
 import time
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
@@ -22,30 +13,16 @@ from typing import Any
 
 from pydicom.dataset import Dataset
 from pydicom.uid import UID
-from pynetdicom import AE, _config, build_context, evt
+from pynetdicom import build_context, evt
 from pynetdicom.association import Association
-from pynetdicom.pdu import P_DATA_TF
-from pynetdicom.pdu_primitives import A_ASSOCIATE, P_DATA, MaximumLengthNotification
 from pynetdicom.presentation import PresentationContext
-from pynetdicom.transport import AddressInformation, AssociationSocket
 
 from simcore.core.errors import SimulationError
-from simcore.dicom.identity import IMPLEMENTATION_UID
-from worker.delivery import addresses
-from worker.records.destinations import Destination, Tls
-
-_config.STORE_SEND_CHUNKED_DATASET = True
-_config.LOG_HANDLER_LEVEL = "none"
-# What it reports as errors are answers of peers: they are recorded with the instance.
-logging.getLogger("pynetdicom").setLevel(logging.CRITICAL)
+from worker.delivery import addresses, overrides
+from worker.delivery.overrides import Entity, Socket, Throttle
+from worker.destination_spec import Destination, Tls
 
 VERIFICATION = "1.2.840.10008.1.1"
-
-BATCH_BYTES = 1 << 18
-"""Data goes to the socket in portions of about this size."""
-
-QUEUE_LENGTH = 4
-"""Portions that may wait for the socket."""
 
 IN_FLIGHT_BYTES = 8_000_000
 """What may lie in the queue and in the socket buffers of both ends when the last byte was handed over."""
@@ -65,170 +42,6 @@ class AssociationError(SimulationError):
         self.again = again
 
 
-class Throttle:
-    """Bandwidth shared by several associations. rate: bytes a second; None: no limit."""
-
-    def __init__(self, rate: float | None) -> None:
-        self.rate = rate
-        self._lock = threading.Lock()
-        self._free_at = 0.0
-
-    def wait(self, size: int) -> None:
-        """Returns when ``size`` bytes more may be sent."""
-        if self.rate is None:
-            return
-        with self._lock:
-            start = max(time.monotonic(), self._free_at)
-            self._free_at = start + size / self.rate
-        if (left := start - time.monotonic()) > 0:
-            time.sleep(left)
-
-
-class _Socket(AssociationSocket):
-    """Remembers why it failed, gives up where no byte moves, keeps to a bandwidth, counts."""
-
-    socket: Any
-    failure: Exception | None = None
-    connected = False
-    stalled = False
-    stall_seconds: float = 60.0
-    throttle = Throttle(None)
-    count: Callable[[int], None] = staticmethod(lambda size: None)
-
-    def connect(self, primitive: Any) -> None:
-        """As the base class, which only logs the reason of a failure and then waits for ever in send."""
-        try:
-            if self.tls_args:
-                context, name = self.tls_args
-                self.socket = context.wrap_socket(self.socket, server_hostname=name)
-            self.socket.settimeout(self.assoc.connection_timeout)
-            self.socket.connect(primitive.address_info.as_tuple)
-            self.socket.settimeout(self.stall_seconds)
-            self.socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
-            self.assoc.requestor.address_info = AddressInformation.from_tuple(self.socket.getsockname())
-            self._is_connected = self.connected = True
-            primitive.result = "Evt2"
-        except (OSError, ValueError) as error:
-            self.failure = error
-            self._shutdown_socket()
-            self.socket = None
-            primitive.result = "Evt17"
-        self.provider_queue.put(primitive)
-        self._ready.set()
-
-    def send(self, bytestream: bytes) -> None:
-        """As the base class; a peer that takes no byte for ``stall_seconds`` ends the association."""
-        self.send_parts([bytestream])
-
-    def send_parts(self, parts: list[bytes]) -> None:
-        """Sends several buffers as one, without joining them where the socket can do so."""
-        assert self.socket is not None
-        try:
-            if isinstance(self.socket, ssl.SSLSocket):
-                parts = [b"".join(parts)]
-            size = sum(map(len, parts))
-            self.throttle.wait(size)
-            sent = self._send_some(self.socket, parts)
-            if sent < size:
-                left = memoryview(b"".join(parts))[sent:]
-                while left:
-                    left = left[self.socket.send(left) :]
-            self.count(size)
-        except Exception as error:
-            self.failure = error
-            self.stalled = isinstance(error, TimeoutError)
-            self.event_queue.put("Evt17")
-
-    @staticmethod
-    def _send_some(used: socket.socket, parts: list[bytes]) -> int:
-        return int(used.send(parts[0]) if len(parts) == 1 else used.sendmsg(parts))
-
-
-class _Queue(queue.Queue[Any]):
-    """Primitives on their way to the socket.
-
-    Data waits where there is much already, so a file is read as it is sent; and small fragments go on together, since
-    pynetdicom needs as long for a small one as for a large one.
-    """
-
-    def __init__(self, association: Association) -> None:
-        super().__init__()
-        self._thread = association.dul
-        self._batch = P_DATA()
-        self._batch_bytes = 0
-
-    def put(self, item: Any, block: bool = True, timeout: float | None = None) -> None:
-        if not isinstance(item, P_DATA):
-            super().put(item, block, timeout)
-            return
-        fragments = item.presentation_data_value_list
-        self._batch.presentation_data_value_list.extend(fragments)
-        self._batch_bytes += sum(len(data) for _, data in fragments)
-        is_last = fragments[-1][1][0] & 0x02
-        if is_last or self._batch_bytes >= BATCH_BYTES:
-            ready, self._batch, self._batch_bytes = self._batch, P_DATA(), 0
-            self._wait_for_room()
-            super().put(ready, block, timeout)
-
-    def _wait_for_room(self) -> None:
-        with self.not_full:
-            while self._qsize() >= QUEUE_LENGTH:
-                if not self._thread.is_alive():
-                    raise ConnectionError("the association has ended")
-                self.not_full.wait(0.2)
-
-
-def _send_data(association: Association) -> Callable[[Any], None]:
-    """Replaces the way of a PDU to the socket: fragments of data take a short one, each in a PDU of its own."""
-    usual = association.dul._send
-
-    def send(pdu: Any) -> None:
-        if not isinstance(pdu, P_DATA_TF):
-            usual(pdu)
-            return
-        parts = []
-        for fragment in pdu.presentation_data_value_items:
-            data = fragment.presentation_data_value
-            parts += [_PDU_HEADER.pack(4, len(data) + 5, len(data) + 1, fragment.presentation_context_id), data]
-        association.dul.socket.send_parts(parts)
-
-    return send
-
-
-_PDU_HEADER = struct.Struct(">BxIIB")
-"""P-DATA-TF with one item: type, length, length of the item, presentation context (PS3.8 section 9.3.5)."""
-
-
-class _Entity(AE):
-    """Makes associations on sockets of ours."""
-
-    def __init__(self, destination: Destination, throttle: Throttle, count: Callable[[int], None]) -> None:
-        super().__init__(destination.calling_aet)
-        limits = destination.limits
-        self.implementation_class_uid = IMPLEMENTATION_UID
-        self.implementation_version_name = "TOMOSIM"
-        self.connection_timeout = limits.connect_seconds
-        self.acse_timeout = limits.negotiate_seconds
-        self.network_timeout = None
-        self._stall_seconds = limits.stall_seconds
-        self._throttle = throttle
-        self._count = count
-        self.socket: _Socket | None = None
-
-    def _create_socket(
-        self, assoc: Association, address: AddressInformation, tls_args: tuple[ssl.SSLContext, str] | None
-    ) -> AssociationSocket:
-        made = _Socket(assoc, address=address)
-        made.tls_args = tls_args
-        made.stall_seconds = self._stall_seconds
-        made.throttle = self._throttle
-        made.count = self._count
-        assoc.dul.to_provider_queue = _Queue(assoc)
-        assoc.dul._send = _send_data(assoc)
-        self.socket = made
-        return made
-
-
 @dataclass(frozen=True)
 class Kind:
     """What an instance is, as far as negotiation goes."""
@@ -240,13 +53,13 @@ class Kind:
 class Peer:
     """An association that is open. Closed by ``close``; ``abort`` ends it from another thread, at once."""
 
-    def __init__(self, destination: Destination, association: Association, used: _Socket) -> None:
+    def __init__(self, destination: Destination, association: Association, used: Socket) -> None:
         self.destination = destination
         self._association = association
         self._socket = used
         self._messages = 0
         self.accepted = {Kind(str(c.abstract_syntax), str(c.transfer_syntax[0])) for c in association.accepted_contexts}
-        _limit_pdu(association, destination)
+        overrides.limit_pdu(association, destination.limits.maximum_pdu)
 
     @property
     def is_open(self) -> bool:
@@ -307,7 +120,7 @@ class Peer:
         """Why no answer came."""
         if self._socket.failure is not None:
             return f"the connection to {self._name} broke ({_text(self._socket.failure)})"
-        if self._association.is_aborted and not self._association._sent_abort:
+        if overrides.ended_by_peer(self._association):
             return f"{self._name} ended the association without an answer"
         return f"{self._name} gave no answer within {self._association.dimse_timeout:.0f} s"
 
@@ -322,8 +135,7 @@ class Peer:
         self._shutdown()
 
     def _end(self) -> None:
-        # An exception on the way leaves pynetdicom's own thread waiting.
-        self._association._reactor_checkpoint.set()
+        overrides.wake(self._association)
         if self.is_open or self._association.dul.is_alive():
             self._shutdown()
             self._association.abort()
@@ -340,14 +152,6 @@ class Peer:
         return f"{d.called_aet} at {d.host}:{d.port}"
 
 
-def _limit_pdu(association: Association, destination: Destination) -> None:
-    """Holds what we send to the smaller one of the peer's limit (0: none) and the destination's [byte]."""
-    limit = destination.limits.maximum_pdu
-    for item in association.acceptor.primitive.user_information:
-        if isinstance(item, MaximumLengthNotification):
-            item.maximum_length_received = min(item.maximum_length_received or limit, limit)
-
-
 def connect(
     destination: Destination,
     kinds: Iterable[Kind],
@@ -362,7 +166,7 @@ def connect(
 
     on_report: handler of N-EVENT-REPORT. raises: AssociationError; DestinationNotAllowed
     """
-    entity = _Entity(destination, throttle or Throttle(None), count)
+    entity = Entity(destination, throttle or Throttle(None), count)
     where = f"{destination.host}:{destination.port}"
     try:
         address = addresses.resolve(destination.host, destination.port, allowed)
@@ -400,7 +204,7 @@ def _contexts(kinds: Iterable[Kind]) -> list[PresentationContext]:
 
 
 def _why_not(
-    destination: Destination, where: str, association: Association, used: _Socket, waited: float
+    destination: Destination, where: str, association: Association, used: Socket, waited: float
 ) -> AssociationError:
     """The reason and the advice for an association that did not come about."""
     failure = None if used.connected else used.failure
@@ -421,7 +225,7 @@ def _why_not(
         return AssociationError("connection-timeout", text, again=True)
     if failure is not None:
         return AssociationError("unreachable", f"{where} cannot be reached ({_text(failure)})", again=True)
-    if (answer := _answer(association)) is not None:
+    if (answer := overrides.rejection_of(association)) is not None:
         return _rejection(destination, answer)
     if waited >= destination.limits.negotiate_seconds:
         text = f"{where} took the connection but did not answer within {waited:.0f} s: is it a DICOM service, and well?"
@@ -429,20 +233,6 @@ def _why_not(
     hint = "" if destination.tls is None else " (over TLS: perhaps it wants a certificate of ours)"
     text = f"{where} ended the connection instead of accepting the association{hint}: see the peer's log"
     return AssociationError("association-aborted", text, again=True)
-
-
-def _answer(association: Association) -> Any:
-    """The peer's rejection; None where it sent none."""
-    if association.is_rejected:
-        return association.acceptor.primitive
-    # pynetdicom looks at the state of the socket after it waited for the connection: where the peer's rejection was
-    # quicker than the thread that waits, it takes the closed socket for one that never connected, and reads no answer.
-    with contextlib.suppress(queue.Empty):
-        while True:
-            left = association.dul.to_user_queue.get_nowait()
-            if isinstance(left, A_ASSOCIATE) and left.result in (1, 2):
-                return left
-    return None
 
 
 def _rejection(destination: Destination, answer: Any) -> AssociationError:

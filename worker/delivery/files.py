@@ -11,7 +11,7 @@ from pydicom.filereader import read_file_meta_info
 from pydicom.uid import UID, ExplicitVRLittleEndian, ImplicitVRLittleEndian
 
 from worker.delivery.association import Kind
-from worker.records.destinations import TRANSFER_SYNTAX_UIDS, Destination
+from worker.destination_spec import TRANSFER_SYNTAX_UIDS, Destination
 
 UNCOMPRESSED = (str(ExplicitVRLittleEndian), str(ImplicitVRLittleEndian))
 

@@ -2,29 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Any, Literal
-
-Json = dict[str, Any]
-
-Verdict = Literal["stored", "again", "refused"]
-
-
-@dataclass(frozen=True)
-class Outcome:
-    """verdict: what becomes of the instance. code: stable. message: for people, with what to do.
-
-    status: of the C-STORE response; None where none came.
-    """
-
-    verdict: Verdict
-    code: str
-    message: str = ""
-    status: int | None = None
-
-    def error(self) -> Json:
-        return {"kind": "system", "code": self.code, "message": self.message}
-
+from worker.records.delivery_tables import Outcome as Outcome
 
 _WARNINGS = {
     0xB000: "the peer changed some elements (coercion of data elements)",

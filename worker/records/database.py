@@ -146,13 +146,3 @@ def _begin_sqlite(connection: sa.Connection) -> None:
     # busy timeout: writers take the lock at the beginning.
     reading = connection.get_execution_options().get("tomosim_reading", False)
     connection.exec_driver_sql("BEGIN" if reading else "BEGIN IMMEDIATE")
-
-
-def create_tables(engine: sa.Engine) -> None:
-    """Makes the tables or brings them up to date. Several processes may do so at once.
-
-    raises: StoreError where the database was made by a newer version of the tables.
-    """
-    from worker.records import schema
-
-    schema.upgrade(engine)

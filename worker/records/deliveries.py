@@ -1,4 +1,4 @@
-"""Deliveries: what goes to a destination, and how far each instance has come. Tables and repository.
+"""Deliveries: what goes to a destination, and how far each instance has come. The repository.
 
 A delivery is a row on lease like a simulation (``records.leases``). Its instances are written down when it is asked
 for; each is marked as stored in the transaction that follows the peer's answer, so whoever goes on later sends only
@@ -7,11 +7,9 @@ what is missing. At a time one delivery runs to a destination: its limits hold w
 
 from __future__ import annotations
 
-import fnmatch
 import uuid
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, fields, replace
-from functools import partial
+from dataclasses import fields, replace
 from typing import Any, ClassVar
 
 import sqlalchemy as sa
@@ -20,168 +18,31 @@ from worker.contract import (
     ACTIVE_STATES,
     EVENT_PROGRESS,
     EVENT_STATE,
-    FINAL_STATES,
     STATES,
     InstanceState,
     Queue,
     State,
 )
-from worker.delivery.outcomes import Outcome
-from worker.records import counters, webhooks
-from worker.records.database import metadata, reading
+from worker.records.database import reading
+from worker.records.delivery_tables import (
+    Delivery,
+    Instance,
+    Item,
+    Outcome,
+    Request,
+    deliveries,
+    delivery_events,
+    instances,
+    items_of,
+)
 from worker.records.destinations import find, lock
-from worker.records.leases import NO_OWNER, Json, Leased, Leases, NotFoundError, StateError
+from worker.records.leases import Leases
+from worker.records.rows import NO_OWNER, Json, NotFoundError, StateError
 
 MAX_BACKOFF_SECONDS = 600.0
 
-
 COMMITTED = "committed"
 """Code of an instance of which the peer has said that it keeps it."""
-
-deliveries = sa.Table(
-    "deliveries",
-    metadata,
-    sa.Column("id", sa.String(32), primary_key=True),
-    sa.Column("state", sa.String(16), nullable=False),
-    # No foreign keys: a delivery stays on record when its case or its destination is forgotten.
-    sa.Column("destination_id", sa.String(32), nullable=False),
-    sa.Column("destination_name", sa.String(64), nullable=False),
-    sa.Column("simulation_id", sa.String(32)),
-    sa.Column("study_id", sa.String(32)),
-    sa.Column("automatic", sa.Boolean, nullable=False),
-    sa.Column("revision", sa.Integer, nullable=False, default=1),
-    sa.Column("created", sa.Double, nullable=False),
-    sa.Column("started", sa.Double),
-    sa.Column("finished", sa.Double),
-    sa.Column("attempt", sa.Integer, nullable=False, default=0),
-    # How often it was tried since an instance was last stored.
-    sa.Column("failures", sa.Integer, nullable=False, default=0),
-    sa.Column("not_before", sa.Double),
-    sa.Column("sent", sa.Double),
-    sa.Column("owner", sa.String(200)),
-    sa.Column("lease_until", sa.Double),
-    sa.Column("message", sa.Text, nullable=False, default=""),
-    sa.Column("error", sa.JSON(none_as_null=True)),
-    sa.Column("instances", sa.Integer, nullable=False),
-    sa.Column("instances_stored", sa.Integer, nullable=False, default=0),
-    sa.Column("instances_failed", sa.Integer, nullable=False, default=0),
-    sa.Column("bytes", sa.BigInteger, nullable=False),
-    sa.Column("bytes_stored", sa.BigInteger, nullable=False, default=0),
-    sa.Index("deliveries_by_age", "created", "id"),
-    sa.Index("deliveries_by_destination", "destination_id", "state"),
-    sa.Index("deliveries_by_simulation", "simulation_id"),
-)
-
-instances = sa.Table(
-    "delivery_instances",
-    metadata,
-    sa.Column("delivery_id", sa.String(32), sa.ForeignKey("deliveries.id", ondelete="CASCADE"), primary_key=True),
-    sa.Column("number", sa.Integer, primary_key=True),
-    sa.Column("destination_id", sa.String(32), nullable=False),
-    sa.Column("simulation_id", sa.String(32), nullable=False),
-    sa.Column("name", sa.Text, nullable=False),
-    sa.Column("sha256", sa.String(64), nullable=False),
-    sa.Column("size", sa.BigInteger, nullable=False),
-    # Of the file's meta information; NULL until it was read.
-    sa.Column("sop_instance", sa.String(64)),
-    sa.Column("state", sa.String(16), nullable=False),
-    sa.Column("attempts", sa.Integer, nullable=False, default=0),
-    sa.Column("status", sa.Integer),
-    sa.Column("code", sa.String(64)),
-    sa.Column("message", sa.Text, nullable=False, default=""),
-    sa.Column("finished", sa.Double),
-    sa.Index("delivery_instances_by_uid", "sop_instance", "destination_id"),
-)
-
-delivery_events = sa.Table(
-    "delivery_events",
-    metadata,
-    sa.Column("delivery_id", sa.String(32), sa.ForeignKey("deliveries.id", ondelete="CASCADE"), primary_key=True),
-    sa.Column("sequence", sa.Integer, primary_key=True),
-    sa.Column("at", sa.Double, nullable=False),
-    sa.Column("kind", sa.String(16), nullable=False),
-    sa.Column("data", sa.JSON, nullable=False),
-)
-
-
-@dataclass(frozen=True)
-class Delivery(Leased):
-    """A row. not_before: seconds since 1970 before which it is not tried again."""
-
-    destination_id: str
-    destination_name: str
-    simulation_id: str | None
-    study_id: str | None
-    automatic: bool
-    failures: int
-    not_before: float | None
-    message: str
-    instances: int
-    instances_stored: int
-    instances_failed: int
-    bytes: int
-    bytes_stored: int
-
-    @property
-    def queue(self) -> Queue:
-        return "delivery"
-
-
-@dataclass(frozen=True)
-class Instance:
-    """A file on its way. size: bytes; status: of the C-STORE response; finished: seconds since 1970."""
-
-    number: int
-    simulation_id: str
-    name: str
-    sha256: str
-    size: int
-    sop_instance: str | None
-    state: InstanceState
-    attempts: int
-    status: int | None
-    code: str | None
-    message: str
-    finished: float | None
-
-
-@dataclass(frozen=True)
-class Item:
-    """A file to be sent, as the manifest of its case names it."""
-
-    simulation_id: str
-    name: str
-    sha256: str
-    size: int
-
-
-@dataclass(frozen=True)
-class Request:
-    """What a delivery is asked to be. simulation_id, study_id: what was asked for; None where it is not that."""
-
-    destination: str
-    items: Sequence[Item]
-    simulation_id: str | None = None
-    study_id: str | None = None
-    automatic: bool = False
-
-
-def items_of(simulation_id: str, manifest: Json, patterns: Sequence[str] = ()) -> list[Item]:
-    """The DICOM files of a case whose names match one of the patterns (``projections/*``); all where there is none."""
-    files = manifest.get("files", {})
-    chosen = sorted(name for name in files if name.endswith(".dcm") and matches(name, patterns))
-    return [Item(simulation_id, name, files[name]["sha256"], files[name]["size"]) for name in chosen]
-
-
-def matches(name: str, patterns: Sequence[str]) -> bool:
-    return not patterns or any(fnmatch.fnmatchcase(name, pattern) for pattern in patterns)
-
-
-def unfinished(connection: sa.Connection, destination_id: str) -> int:
-    """How many deliveries to a destination have not ended."""
-    c = deliveries.c
-    query = sa.select(sa.func.count()).where(c.destination_id == destination_id, c.state.not_in(FINAL_STATES))
-    return connection.scalar(query) or 0
 
 
 _INSTANCE_COLUMNS = [instances.c[f.name] for f in fields(Instance)]
@@ -412,12 +273,6 @@ class Deliveries(Leases[Delivery]):
         }
         return self._finish(identifier, owner, values)
 
-    def _ended(self, connection: sa.Connection, identifiers: Sequence[str]) -> None:
-        rows = [self._one(connection, identifier) for identifier in identifiers]
-        webhooks.announce(connection, self.clock(), "delivery.finished", *(partial(_finished, row) for row in rows))
-        for row in rows[:1]:
-            counters.add(connection, {(counters.DELIVERIES_ENDED, row.state): float(len(rows))})
-
     # What the sweep does
 
     def unsent(self, limit: int = 100) -> list[Delivery]:
@@ -437,18 +292,6 @@ class Deliveries(Leases[Delivery]):
 def _active(destination_id: str) -> sa.Select[Any]:
     c = deliveries.c
     return sa.select(c.id).where(c.destination_id == destination_id, c.state.in_(ACTIVE_STATES))
-
-
-def _finished(row: Delivery) -> Json:
-    """What a webhook is told of a delivery that ended."""
-    told = ("id", "state", "destination_id", "destination_name", "simulation_id", "study_id", "instances")
-    return {
-        **{name: getattr(row, name) for name in told},
-        "instances_stored": row.instances_stored,
-        "instances_failed": row.instances_failed,
-        "error": row.error,
-        "href": f"/v1/deliveries/{row.id}",
-    }
 
 
 def _told(outcome: Outcome) -> Json:

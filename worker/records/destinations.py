@@ -11,13 +11,10 @@ from typing import Any
 import sqlalchemy as sa
 from sqlalchemy.exc import IntegrityError
 
+from worker.destination_spec import Destination
 from worker.records.database import metadata, reading
-from worker.records.destination_spec import TRANSFER_SYNTAX_UIDS as TRANSFER_SYNTAX_UIDS
-from worker.records.destination_spec import Destination as Destination
-from worker.records.destination_spec import Limits as Limits
-from worker.records.destination_spec import Tls as Tls
-from worker.records.destination_spec import TransferSyntax as TransferSyntax
-from worker.records.leases import NotFoundError
+from worker.records.delivery_tables import unfinished
+from worker.records.rows import NotFoundError
 
 Json = dict[str, Any]
 
@@ -118,8 +115,6 @@ class Destinations:
 
         revision: only where it still has this one; False where another change came first.
         """
-        from worker.records.deliveries import unfinished
-
         with self.engine.begin() as connection:
             lock(connection, identifier)
             if count := unfinished(connection, identifier):

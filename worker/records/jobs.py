@@ -3,30 +3,20 @@
 from __future__ import annotations
 
 import uuid
-from collections import defaultdict
-from collections.abc import Sequence
 from dataclasses import dataclass, fields
-from functools import partial
-from typing import Any, ClassVar, cast
+from typing import Any, ClassVar
 
 import sqlalchemy as sa
 
-from worker.contract import DEFAULT_QUEUE, EVENT_PROGRESS, EVENT_STATE, Queue, State, WebhookEvent
-from worker.records import counters, quotas, webhooks
-from worker.records import retention as keeping
+from worker.contract import DEFAULT_QUEUE, EVENT_PROGRESS, EVENT_STATE, Queue, State
+from worker.records import quotas
 from worker.records.database import events, reading, simulations
-from worker.records.deliveries import Deliveries
-from worker.records.leases import Event as Event
-from worker.records.leases import Json, Leased, Leases
-from worker.records.leases import NotFoundError as NotFoundError
-from worker.records.leases import StateError as StateError
+from worker.records.leases import Leases
 from worker.records.quotas import Submitter
 from worker.records.retention import ExpiredError, is_expired
+from worker.records.rows import Json, Leased, NotFoundError
 
 UNKNOWN = Submitter("local")
-
-
-_studies = sa.table("studies", sa.column("id"), sa.column("announced"))
 
 
 @dataclass(frozen=True)
@@ -157,73 +147,9 @@ class Jobs(Leases[Simulation]):
         values = {"manifest": manifest, "results": manifest.get("results", {}), "stages_done": total}
         return self._finish(identifier, owner, self._final("succeeded", fraction=1.0, error=None, **values))
 
-    def retry(self, identifier: str) -> Simulation:
-        """Queues a failed or cancelled simulation again; the end of its study is told once more.
-
-        raises: NotFoundError, StateError
-        """
-        row = super().retry(identifier)
-        if row.study_id is not None:
-            with self.engine.begin() as connection:
-                connection.execute(_studies.update().where(_studies.c.id == row.study_id).values(announced=None))
-        return row
-
-    def _ended(self, connection: sa.Connection, identifiers: Sequence[str]) -> None:
-        rows = self._many(connection.execute(sa.select(*self._columns).where(simulations.c.id.in_(identifiers))))
-        if not rows:
-            return
-        state = rows[0].state
-        counts: defaultdict[tuple[str, str], float] = defaultdict(float, {(counters.ENDED, state): float(len(rows))})
-        for row in {row.study_id or row.id: row for row in rows}.values():
-            keeping.set_expiry(connection, row, self.clock())
-        if state == "succeeded":
-            for row in rows:
-                self._deliver(connection, row.id)
-                manifest = connection.scalar(sa.select(simulations.c.manifest).where(simulations.c.id == row.id))
-                for name, number in _stage_counts(manifest or {}).items():
-                    counts[name] += number
-        event = cast(WebhookEvent, f"simulation.{state}")
-        webhooks.announce(connection, self.clock(), event, *(partial(_told, row) for row in rows))
-        counters.add(connection, counts)
-
-    def _deliver(self, connection: sa.Connection, identifier: str) -> None:
-        """The deliveries that were asked for with the simulation begin with its success."""
-        c = simulations.c
-        found = connection.execute(sa.select(c.deliver, c.manifest).where(c.id == identifier)).one()
-        for wanted in found.deliver or ():
-            Deliveries(self.engine, self.lease_seconds, self.clock).insert_automatic(
-                connection, identifier, wanted, found.manifest
-            )
-
     def _column(self, identifier: str, name: str) -> Any:
         with reading(self.engine) as connection:
             row = connection.execute(sa.select(simulations.c[name]).where(simulations.c.id == identifier)).one_or_none()
         if row is None:
             raise NotFoundError(identifier)
         return row[0]
-
-
-def _stage_counts(manifest: Json) -> dict[tuple[str, str], float]:
-    """What the stages of a case that succeeded add to the counters."""
-    counts: defaultdict[tuple[str, str], float] = defaultdict(float)
-    for stage in manifest.get("stages", ()):
-        name = str(stage.get("name"))[:64]
-        if stage.get("cached"):
-            counts[counters.STAGES_CACHED, name] += 1
-        else:
-            counts[counters.STAGES_COMPUTED, name] += 1
-            counts[counters.STAGE_SECONDS, name] += stage.get("seconds", 0.0)
-    return counts
-
-
-def _told(row: Simulation) -> Json:
-    """What a webhook is told of a simulation that ended."""
-    return {
-        "id": row.id,
-        "name": row.name,
-        "state": row.state,
-        "attempt": row.attempt,
-        "results": row.results,
-        "error": row.error,
-        "href": f"/v1/simulations/{row.id}",
-    }

@@ -9,65 +9,14 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, fields
+from dataclasses import fields
 from typing import Any, ClassVar, Generic, TypeVar
 
 import sqlalchemy as sa
 
-from worker.contract import ACTIVE_STATES, EVENT_STATE, FINAL_STATES, WORKER_LOST, State
+from worker.contract import ACTIVE_STATES, EVENT_STATE, FINAL_STATES, WORKER_LOST, State, failure
 from worker.records.database import reading
-
-Json = dict[str, Any]
-
-
-class NotFoundError(LookupError):
-    """There is no such row; ``what`` says of which kind."""
-
-    def __init__(self, identifier: str, what: str = "simulation") -> None:
-        super().__init__(identifier)
-        self.what = what
-
-
-class StateError(Exception):
-    """The row is in a state that does not allow what was asked; ``state`` is the one it is in."""
-
-    def __init__(self, state: State) -> None:
-        super().__init__(state)
-        self.state = state
-
-
-@dataclass(frozen=True)
-class Leased:
-    """What every row on lease has. Times: seconds since 1970."""
-
-    id: str
-    state: State
-    revision: int
-    created: float
-    started: float | None
-    finished: float | None
-    attempt: int
-    sent: float | None
-    owner: str | None
-    lease_until: float | None
-    error: Json | None
-
-    @property
-    def is_final(self) -> bool:
-        return self.state in FINAL_STATES
-
-
-@dataclass(frozen=True)
-class Event:
-    """Something that happened to a row; ``sequence`` grows with time and may have gaps."""
-
-    sequence: int
-    at: float
-    kind: str
-    data: Json
-
-
-NO_OWNER: Json = {"owner": None, "lease_until": None}
+from worker.records.rows import NO_OWNER, Event, Json, Leased, NotFoundError, StateError
 
 Row = TypeVar("Row", bound=Leased)
 
@@ -88,6 +37,13 @@ class Leases(Generic[Row]):
 
     no_progress: ClassVar[Json]
     """Values of a row whose work begins anew."""
+
+    on_end: ClassVar[tuple[Callable[[Any, sa.Connection, list[Any]], None], ...]] = ()
+    """Called with this repository and rows that have reached a final state, the same for all, in the transaction in
+    which they do (``records.ends``)."""
+
+    on_retry: ClassVar[tuple[Callable[[Any, sa.Connection, Any], None], ...]] = ()
+    """Called with a row that is queued again, in that transaction."""
 
     def __init__(self, engine: sa.Engine, lease_seconds: float = 30.0, clock: Callable[[], float] = time.time) -> None:
         self.engine = engine
@@ -136,8 +92,10 @@ class Leases(Generic[Row]):
         with self.engine.begin() as connection:
             changed = self._change(connection, identifier, ["failed", "cancelled"], self._queued_again())
             row = self._one(connection, identifier)
-        if not changed:
-            raise StateError(row.state)
+            if not changed:
+                raise StateError(row.state)
+            for call in self.on_retry:
+                call(self, connection, row)
         return row
 
     def cancel_all(self, connection: sa.Connection, condition: sa.ColumnElement[bool]) -> int:
@@ -360,7 +318,9 @@ class Leases(Generic[Row]):
         return True
 
     def _ended(self, connection: sa.Connection, identifiers: Sequence[str]) -> None:
-        """Called in the transaction in which rows reach a final state, the same for all."""
+        rows = self._many(connection.execute(sa.select(*self._columns).where(self.table.c.id.in_(identifiers))))
+        for call in self.on_end if rows else ():
+            call(self, connection, rows)
 
     def _change_all(
         self, connection: sa.Connection, condition: sa.ColumnElement[bool], states: Sequence[State], values: Json
@@ -396,9 +356,8 @@ class Leases(Generic[Row]):
         connection.execute(self.events.insert().values(event))
 
     def _worker_lost(self, attempts: int) -> Json:
-        return {
-            "kind": "system",
-            "code": WORKER_LOST,
-            "message": f"the worker was lost {attempts} times while it worked on this {self.what} (stopped machine, no "
-            "memory left, broken connection to the database): see the worker's log, then retry",
-        }
+        text = (
+            f"the worker was lost {attempts} times while it worked on this {self.what} (stopped machine, no memory "
+            "left, broken connection to the database): see the worker's log, then retry"
+        )
+        return failure(WORKER_LOST, text)

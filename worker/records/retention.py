@@ -14,7 +14,7 @@ import sqlalchemy as sa
 
 from worker.contract import EVENT_PROGRESS, FINAL_STATES
 from worker.records.database import events, simulations
-from worker.records.leases import NotFoundError
+from worker.records.rows import NotFoundError
 
 
 class ExpiredError(Exception):

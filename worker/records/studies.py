@@ -3,19 +3,19 @@
 from __future__ import annotations
 
 import uuid
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, ClassVar
 
 import sqlalchemy as sa
 
 from worker.contract import EVENT_STATE, FINAL_STATES, Queue, State, StudyState
-from worker.records import quotas, webhooks
+from worker.records import quotas
 from worker.records.database import events, metadata, reading, simulations
 from worker.records.jobs import UNKNOWN, Jobs, Simulation
-from worker.records.leases import Json, NotFoundError
 from worker.records.quotas import Submitter
-from worker.records.retention import set_study_expiry, unexpired
+from worker.records.retention import unexpired
+from worker.records.rows import Json, NotFoundError
 
 STUDY_QUEUE: Queue = "batch"
 
@@ -96,6 +96,9 @@ def _with_files(identifier: str, now: float) -> tuple[sa.ColumnElement[bool], ..
 
 class Studies:
     """Repository of studies."""
+
+    on_end: ClassVar[tuple[Callable[[Any, sa.Connection, Study], None], ...]] = ()
+    """Called once with a study all of whose cases have ended, in the transaction that marks it (``records.ends``)."""
 
     def __init__(self, jobs: Jobs) -> None:
         self.jobs = jobs
@@ -253,8 +256,8 @@ class Studies:
             if not found or not found[0].is_final:
                 return False
             connection.execute(studies.update().where(*untold).values(announced=now))
-            set_study_expiry(connection, identifier, now)
-            webhooks.announce(connection, now, "study.finished", lambda: _told(found[0]))
+            for call in self.on_end:
+                call(self, connection, found[0])
         return True
 
     def unsent(self, identifier: str, limit: int) -> list[Simulation]:
@@ -306,15 +309,3 @@ def _study(row: Json, tally: dict[State, tuple[int, float | None, float | None]]
     started = min((first for _, first, _ in tally.values() if first is not None), default=None)
     finished = max((last for _, _, last in tally.values() if last is not None), default=None)
     return Study(**row, counts=study.counts, started=started, finished=finished if study.is_final else None)
-
-
-def _told(study: Study) -> Json:
-    """What a webhook is told of a study that ended."""
-    return {
-        "id": study.id,
-        "name": study.name,
-        "state": study.state,
-        "cases": study.cases,
-        "counts": study.counts,
-        "href": f"/v1/studies/{study.id}",
-    }

@@ -21,7 +21,7 @@ import sqlalchemy as sa
 
 from worker.contract import MessageState, WebhookEvent
 from worker.records.database import metadata, reading
-from worker.records.leases import NotFoundError, StateError
+from worker.records.rows import NotFoundError, StateError
 
 Json = dict[str, Any]
 

@@ -18,9 +18,9 @@ import sqlalchemy as sa
 from simcore.core.store import Store
 from simcore.phantom.upload import registry
 from worker.contract import FINAL_STATES
-from worker.records.chores import Chores
 from worker.records.database import reading, simulations
-from worker.records.deliveries import deliveries, instances
+from worker.records.delivery_tables import deliveries, instances
+from worker.records.fleet import Chores
 from worker.records.retention import Retention, unexpired
 from worker.settings import Settings
 from worker.upkeep.repeat import Repeated

@@ -10,7 +10,8 @@ import logging
 from worker.contract import SIMULATION_QUEUES, Queue
 from worker.messages import Messenger
 from worker.records import counters
-from worker.records.deliveries import Deliveries, Delivery
+from worker.records.deliveries import Deliveries
+from worker.records.delivery_tables import Delivery
 from worker.records.fleet import Fleet
 from worker.records.idempotency import Idempotency
 from worker.records.jobs import Jobs, Simulation

@@ -23,9 +23,11 @@ from pydicom.uid import (
 )
 
 from worker.delivery.sender import Sender
+from worker.destination_spec import Destination
 from worker.records.database import connect
-from worker.records.deliveries import Deliveries, Item, Request
-from worker.records.destinations import Destination, Destinations
+from worker.records.deliveries import Deliveries
+from worker.records.delivery_tables import Item, Request
+from worker.records.destinations import Destinations
 from worker.storage import open_store
 
 MG = str(DigitalMammographyXRayImageStorageForProcessing)
@@ -125,7 +127,7 @@ class Room:
             self.due(identifier)
 
     def due(self, identifier):
-        from worker.records.deliveries import deliveries
+        from worker.records.delivery_tables import deliveries
 
         with self.engine.begin() as connection:
             connection.execute(deliveries.update().where(deliveries.c.id == identifier).values(not_before=None))

@@ -6,9 +6,11 @@ import threading
 import pytest
 
 from worker.delivery.outcomes import no_answer, of_status
-from worker.records.deliveries import Deliveries, Item, Request
-from worker.records.destinations import Destination, Destinations, InUseError, NameTakenError
-from worker.records.leases import NotFoundError, StateError
+from worker.destination_spec import Destination
+from worker.records.deliveries import Deliveries
+from worker.records.delivery_tables import Item, Request
+from worker.records.destinations import Destinations, InUseError, NameTakenError
+from worker.records.rows import NotFoundError, StateError
 
 AGAIN = no_answer("the link broke", "PEER", "US")
 ERROR = {"kind": "system", "code": "test", "message": "for the test"}

@@ -1,12 +1,12 @@
 """Every file that registers tables, so that importing this one makes ``worker.records.database.metadata`` complete."""
 
 from worker.records import (
-    chores,
     counters,
     database,
-    deliveries,
+    delivery_tables,
     destinations,
     dicom,
+    fleet,
     idempotency,
     keys,
     studies,
@@ -14,12 +14,12 @@ from worker.records import (
 )
 
 __all__ = [
-    "chores",
     "counters",
     "database",
-    "deliveries",
+    "delivery_tables",
     "destinations",
     "dicom",
+    "fleet",
     "idempotency",
     "keys",
     "metadata",

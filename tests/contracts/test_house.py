@@ -1,0 +1,66 @@
+"""How the code of the service lies in its rooms."""
+
+from collections import Counter
+from importlib.metadata import version
+from pathlib import Path
+
+import grimp
+import pytest
+
+from worker.delivery import overrides
+
+ROOT = Path(__file__).parents[2]
+HOUSES = ("worker", "api")
+MAX_FILES = 20
+MAX_LINES = 400
+
+
+def circles(graph: grimp.ImportGraph) -> list[list[str]]:
+    """Groups of modules of which each imports all others, by Tarjan's algorithm."""
+    order: dict[str, int] = {}
+    low: dict[str, int] = {}
+    stack: list[str] = []
+    found = []
+
+    def visit(module: str) -> None:
+        order[module] = low[module] = len(order)
+        stack.append(module)
+        for other in graph.find_modules_directly_imported_by(module):
+            if other not in order:
+                visit(other)
+            if other in stack:
+                low[module] = min(low[module], low[other])
+        if low[module] == order[module]:
+            group = stack[stack.index(module) :]
+            del stack[stack.index(module) :]
+            if len(group) > 1:
+                found.append(sorted(group))
+
+    for module in sorted(graph.modules):
+        if module not in order:
+            visit(module)
+    return found
+
+
+def test_a_circle_is_seen():
+    graph = grimp.ImportGraph()
+    for importer, imported in [("a", "b"), ("b", "c"), ("c", "a"), ("c", "d")]:
+        graph.add_import(importer=importer, imported=imported)
+    assert circles(graph) == [["a", "b", "c"]]
+
+
+def test_no_module_imports_itself_by_way_of_others():
+    assert circles(grimp.build_graph(*HOUSES, "tomosim")) == []
+
+
+@pytest.mark.parametrize("house", HOUSES)
+def test_no_folder_is_crowded_and_no_file_long(house):
+    files = sorted((ROOT / house).rglob("*.py"))
+    crowded = {str(f.relative_to(ROOT)): n for f, n in Counter(f.parent for f in files).items() if n > MAX_FILES}
+    long = [str(f.relative_to(ROOT)) for f in files if len(f.read_text().splitlines()) > MAX_LINES]
+    assert (crowded, long) == ({}, [])
+
+
+def test_what_is_replaced_in_pynetdicom_is_of_the_version_that_is_installed():
+    assert version("pynetdicom") == overrides.VERSION
+    assert f'"pynetdicom=={overrides.VERSION}"' in (ROOT / "pyproject.toml").read_text()
