@@ -10,8 +10,9 @@ from pathlib import Path
 import pytest
 from pydicom.uid import JPEGLSLossless, RLELossless
 
-from worker.delivery.association import AssociationError, Kind, _Entity, connect
+from worker.delivery.association import AssociationError, Kind, connect
 from worker.delivery.echo import echo
+from worker.delivery.overrides import Entity
 
 _spec = importlib.util.spec_from_file_location("delivery_peers", Path(__file__).parent / "peers.py")
 peers = importlib.util.module_from_spec(_spec)
@@ -72,14 +73,14 @@ class Late(threading.Event):
 
 @pytest.mark.parametrize("ready", [threading.Event, Late])
 def test_a_rejection_quicker_than_the_thread_that_waits_for_the_connection(room, monkeypatch, ready):
-    usual = _Entity._create_socket
+    usual = Entity._create_socket
 
     def create(*arguments):
         made = usual(*arguments)
         made._ready = ready()
         return made
 
-    monkeypatch.setattr(_Entity, "_create_socket", create)
+    monkeypatch.setattr(Entity, "_create_socket", create)
     with closing(Scp(strict=True)) as peer:
         row = room.deliver(peer.port, room.case(1), called_aet="PEER2")
     assert (row.state, row.error["code"], row.attempt) == ("failed", "association-rejected", 1)
