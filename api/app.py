@@ -9,33 +9,26 @@ from typing import Any
 from fastapi import Depends, FastAPI
 from fastapi.concurrency import run_in_threadpool
 
-from api import (
-    artifacts,
-    catalog,
-    deliveries,
-    destinations,
-    errors,
-    events,
-    health,
-    metrics,
-    page,
-    phantoms,
-    pins,
-    reference,
-    simulations,
-    studies,
-    webhooks,
-)
-from api.auth import authenticate
-from api.automatic import with_deliver
-from api.deps import Services
+from api.deliveries import routes as deliveries
+from api.destinations import routes as destinations
 from api.dicomweb import routes as dicomweb
 from api.dicomweb.cors import ViewerOrigins
-from api.guard import Guard
-from api.head import Head
-from api.requests import Requests
-from api.resources import PREFIX
-from api.slow import SlowBodies
+from api.http import errors
+from api.http.auth import authenticate
+from api.http.deps import Services
+from api.http.documents import PREFIX
+from api.http.guard import Guard
+from api.http.head import Head
+from api.http.requests import Requests
+from api.http.slow import SlowBodies
+from api.phantoms import routes as phantoms
+from api.simulations import artifacts, events
+from api.simulations import routes as simulations
+from api.simulations.automatic import with_deliver
+from api.site import catalog, health, metrics, page, reference
+from api.studies import pins
+from api.studies import routes as studies
+from api.webhooks import routes as webhooks
 from simcore import __version__
 from simcore.spec import SimulationSpec
 from simcore.study import StudySpec

@@ -16,7 +16,7 @@ from typing import Any
 
 import httpx
 
-from api.deps import Services
+from api.http.deps import Services
 
 WRITE_DICOM = Path(__file__).parent.parent / "tests" / "worker" / "delivery" / "conftest.py"
 OF_EACH = 4

@@ -13,7 +13,7 @@ from simcore.study import StudySpec
 from worker.contract import STATES
 
 if TYPE_CHECKING:
-    from api.study_resources import StudyResource
+    from api.studies.resources import StudyResource
     from tomosim.client import Client
 
 KINDS = {"dicom": (".dcm",), "preview": (".png",), "mechanics": (".vtu",)}

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from fastapi import Request
 from pydicom.uid import ExplicitVRLittleEndian, JPEGLSLossless, JPEGLSNearLossless, RLELossless
 
-from api.errors import ApiError
+from api.http.errors import ApiError
 
 DICOM = "application/dicom"
 JSON = "application/dicom+json"

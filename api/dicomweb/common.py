@@ -8,10 +8,10 @@ from typing import Annotated, Any
 from fastapi import Depends, Path, Request
 from starlette.datastructures import URL
 
-from api.auth import Read
-from api.deps import Services
 from api.dicomweb.query import FRAMES, UID
-from api.errors import MAX_SHOWN, ApiError
+from api.http.auth import Read
+from api.http.deps import Services
+from api.http.errors import MAX_SHOWN, ApiError
 from worker.dicom_index.index import Instance
 from worker.dicom_index.indexer import Indexer
 from worker.records.retention import ExpiredError

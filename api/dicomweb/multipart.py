@@ -9,9 +9,9 @@ from dataclasses import dataclass
 from fastapi import Request, Response
 from fastapi.responses import StreamingResponse
 
-from api.conditions import none_match
 from api.dicomweb.accept import RELATED
-from api.files import byte_range
+from api.http.conditions import none_match
+from api.http.files import byte_range
 
 Chunks = Callable[[int, int], Iterator[bytes]]
 

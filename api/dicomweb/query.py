@@ -10,7 +10,7 @@ from typing import Any
 from pydicom.datadict import keyword_for_tag, tag_for_keyword
 from pydicom.tag import Tag
 
-from api.errors import MAX_SHOWN, ApiError
+from api.http.errors import MAX_SHOWN, ApiError
 from worker.dicom_index.index import Condition
 from worker.records.dicom import KEYS, Key, Level
 

@@ -10,14 +10,14 @@ import anyio
 from fastapi import APIRouter, Request, Response
 from pydicom.uid import BreastTomosynthesisImageStorage
 
-from api.deps import Served, Services
 from api.dicomweb.accept import RELATED, choose_picture, not_acceptable
 from api.dicomweb.common import FrameList, Indexing, InstanceUID, SeriesUID, StudyUID, find, require_files
 from api.dicomweb.frames import Frames
 from api.dicomweb.multipart import Part, multipart_response, single_response
 from api.dicomweb.rendering import Viewport, Wish, look, parse, picture
 from api.dicomweb.retrieve import INSTANCE, SERIES, STUDY, entity_tag, frame_numbers, one_with_frames
-from api.errors import ApiError
+from api.http.deps import Served, Services
+from api.http.errors import ApiError
 from worker.dicom_index.index import Instance
 
 THUMBNAIL = Viewport(256, 256)

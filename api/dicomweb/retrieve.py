@@ -9,7 +9,6 @@ from typing import Any
 from fastapi import APIRouter, Request, Response
 from fastapi.responses import StreamingResponse
 
-from api.deps import Served, Services
 from api.dicomweb.accept import (
     DEFAULT_SYNTAX,
     DICOM,
@@ -36,7 +35,8 @@ from api.dicomweb.frames import Frames, uncompressed_head
 from api.dicomweb.metadata import bulk_value, is_pixel_data, metadata_json
 from api.dicomweb.multipart import Part, multipart_response, single_response
 from api.dicomweb.query import FRAMES
-from api.errors import MAX_SHOWN, ApiError
+from api.http.deps import Served, Services
+from api.http.errors import MAX_SHOWN, ApiError
 from worker.dicom_index.index import Instance
 from worker.dicom_index.indexer import Indexer
 

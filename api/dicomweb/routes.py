@@ -9,9 +9,9 @@ import anyio
 from fastapi import APIRouter, Depends, FastAPI
 from fastapi.concurrency import run_in_threadpool
 
-from api.deps import Services
 from api.dicomweb import rendered, retrieve, search
 from api.dicomweb.common import PREFIX, reader
+from api.http.deps import Services
 from worker.dicom_index.index import DicomIndex
 from worker.dicom_index.indexer import Indexer
 

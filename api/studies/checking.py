@@ -7,8 +7,8 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any
 
-from api.deps import Services
-from api.errors import ApiError, shown
+from api.http.deps import Services
+from api.http.errors import ApiError, shown
 from api.studies.resources import StudyEstimate
 from simcore import estimate
 from simcore.core.errors import ResourceLimitError, SpecError

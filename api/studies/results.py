@@ -9,21 +9,23 @@ from datetime import UTC, datetime
 from typing import Annotated, Any, Literal
 
 import anyio
-from fastapi import APIRouter, Header, Query, Request, Response
+from fastapi import APIRouter, Depends, Header, Query, Response
 from fastapi.concurrency import run_in_threadpool
 from fastapi.responses import StreamingResponse
 from stream_zip import stream_zip
 
-from api import files, pages
-from api.artifacts import Member, chosen_files, content_member, file_members, manifest_bytes
-from api.auth import Read
-from api.deps import Served, Services, StudyIdentifier
-from api.errors import ApiError
-from api.events import HEARTBEAT_SECONDS, RECONNECT_MILLISECONDS
+from api.http import files
+from api.http.auth import Read
+from api.http.deps import Served, Services, StudyIdentifier
+from api.http.errors import ApiError
+from api.http.pages import Page, page_of
+from api.http.streams import HEARTBEAT_SECONDS, RECONNECT_MILLISECONDS, STREAM_HEADERS
+from api.simulations.artifacts import Member, chosen_files, content_member, file_members, manifest_bytes
 from api.studies import tables
 from api.studies.resources import CasePage, case_resource, folder_name, study_resource
 from worker.contract import State
-from worker.records.retention import ExpiredError, is_expired
+from worker.records.database import AWAY
+from worker.records.retention import ExpiredError
 from worker.records.rows import NotFoundError
 from worker.records.studies import Studies, Study
 
@@ -44,21 +46,15 @@ def list_cases(
     caller: Read,
     identifier: StudyIdentifier,
     served: Served,
-    request: Request,
-    response: Response,
+    page: Annotated[Page, Depends(page_of(100, 1000))],
     state: Annotated[State | None, Query(description="only cases in this state")] = None,
-    limit: Annotated[int, Query(ge=1, le=1000)] = 100,
-    cursor: Annotated[str | None, Query(description="from the page before; anything else: 400 bad-cursor")] = None,
 ) -> CasePage:
     """Its cases with their coordinates, in the order of their numbers."""
     served.studies.get(identifier)
-    after = int(pages.decode(cursor)[0]) if cursor is not None else 0
-    rows = served.studies.cases(identifier, limit + 1, state, after)
-    following = None
-    if len(rows) > limit:
-        following = pages.encode((float(rows[limit - 1].study_number or 0), identifier))
-        response.headers["Link"] = f'<{request.url.include_query_params(cursor=following)}>; rel="next"'
-    return CasePage(items=[case_resource(row, time.time()) for row in rows[:limit]], next=following)
+    after = int(page.before[0]) if page.before else 0
+    rows = served.studies.cases(identifier, page.rows, state, after)
+    shown, following = page.shown(rows, lambda row: (float(row.study_number or 0), identifier))
+    return CasePage(items=[case_resource(row, time.time()) for row in shown], next=following)
 
 
 @router.get("/manifest", response_class=Response, responses=_MANIFEST)
@@ -120,7 +116,7 @@ def events(caller: Read, identifier: StudyIdentifier, served: Served) -> Streami
     return StreamingResponse(
         _stream(served.studies, identifier),
         media_type="text/event-stream",
-        headers={"Cache-Control": "no-store", "X-Accel-Buffering": "no"},
+        headers=STREAM_HEADERS,
     )
 
 
@@ -151,7 +147,7 @@ def _members(served: Services, study: Study, only: str | None, now: float) -> It
     cases = served.studies.cases(study.id)
     yield content_member("manifest.json", "".join(manifest_json(served, study, now)).encode(), when)
     yield content_member("manifest.csv", tables.csv_table(study, cases, now).encode(), when)
-    missing = [f"{folder_name(case.study_number or 0)}/" for case in cases if is_expired(case, now)]
+    missing = [f"{folder_name(case.study_number or 0)}/" for case in cases if case.is_expired(now)]
     for number, manifest in served.studies.manifests(study.id, now):
         folder = f"{folder_name(number)}/"
         yield content_member(f"{folder}manifest.json", manifest_bytes(manifest), when)
@@ -172,6 +168,9 @@ async def _stream(studies: Studies, identifier: str) -> AsyncIterator[str]:
             study = await run_in_threadpool(studies.get, identifier)
         except NotFoundError:
             return
+        except AWAY:
+            await anyio.sleep(POLL_SECONDS)
+            continue
         data = json.dumps({"state": study.state, "counts": study.counts, "finished_cases": study.finished_cases})
         if data != told:
             told, spoke = data, time.monotonic()

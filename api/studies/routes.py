@@ -2,28 +2,27 @@
 
 from __future__ import annotations
 
-import logging
 from typing import Annotated, Any
 
 from fastapi import APIRouter, BackgroundTasks, Depends, Query, Request, Response
 
-from api import pages
-from api.auth import Read, Submitting, Write
-from api.automatic import STUDY_WITH_DELIVER, WantedDeliveries, require_deliver
-from api.conditions import CHANGED, UNCHANGED, IfMatch, IfNoneMatch, document, require_match
-from api.deps import PostedCaseBody, Served, Services, StudyIdentifier
-from api.errors import ApiError
-from api.idempotency import IdempotentRoute, Making
-from api.retention import AskedRetention
-from api.simulations import RETRY_AFTER, chosen_queue, send
+from api.http.auth import Read, Submitting, Write
+from api.http.bodies import PostedCaseBody
+from api.http.conditions import CHANGED, UNCHANGED, IfMatch, IfNoneMatch, document, require_match
+from api.http.deps import RETRY_AFTER, Served, Services, StudyIdentifier, location
+from api.http.errors import ApiError
+from api.http.idempotency import IdempotentRoute, Making
+from api.http.pages import AskedPage
+from api.simulations.automatic import STUDY_WITH_DELIVER, WantedDeliveries, require_deliver
+from api.simulations.retention import AskedRetention
+from api.simulations.service import chosen_queue
+from api.studies import results
 from api.studies.checking import check
 from api.studies.resources import StudyEstimate, StudyPage, StudyResource, study_path, study_resource
 from simcore.study import StudySpec, columns
 from worker.contract import Device, Priority, State
 from worker.records.rows import NotFoundError
 from worker.records.studies import Study
-
-log = logging.getLogger(__name__)
 
 SENT_AT_ONCE = 10
 """Messages that follow the answer to a new study; the sweep sends the others, so that no request waits for them."""
@@ -85,7 +84,7 @@ def create(
             wanted,
         )
     background.add_task(_send_first, served, row.id)
-    response.headers.update({"Location": str(request.base_url).rstrip("/") + study_path(row.id), **RETRY_AFTER})
+    response.headers.update({**location(request, study_path(row.id)), **RETRY_AFTER})
     return study_resource(row, served.studies.document(row.id))
 
 
@@ -99,20 +98,12 @@ def estimate_needs(caller: Read, study: PostedStudy, served: Served) -> StudyEst
 def list_studies(
     caller: Read,
     served: Served,
-    request: Request,
-    response: Response,
-    limit: Annotated[int, Query(ge=1, le=200)] = 50,
-    cursor: Annotated[str | None, Query(description="from the page before; anything else: 400 bad-cursor")] = None,
+    page: AskedPage,
 ) -> StudyPage:
     """Studies, the newest first."""
-    before = pages.decode(cursor) if cursor is not None else None
-    rows = served.studies.page(limit + 1, before)
-    following = None
-    if len(rows) > limit:
-        last = rows[limit - 1]
-        following = pages.encode((last.created, last.id))
-        response.headers["Link"] = f'<{request.url.include_query_params(cursor=following)}>; rel="next"'
-    return StudyPage(items=[study_resource(row) for row in rows[:limit]], next=following)
+    rows = served.studies.page(page.rows, page.before)
+    shown, following = page.shown(rows)
+    return StudyPage(items=[study_resource(row) for row in shown], next=following)
 
 
 @router.get("/{identifier}", response_model=StudyResource, responses=UNCHANGED)
@@ -148,7 +139,7 @@ def retry(
     if number == 0:
         raise ApiError(409, "nothing-to-retry", f"no case of the study is {' or '.join(states)}; it is {row.state}")
     background.add_task(_send_first, served, row.id)
-    response.headers.update({"Location": str(request.base_url).rstrip("/") + study_path(row.id), **RETRY_AFTER})
+    response.headers.update({**location(request, study_path(row.id)), **RETRY_AFTER})
     return study_resource(row)
 
 
@@ -160,6 +151,9 @@ def delete(caller: Write, identifier: StudyIdentifier, served: Served, if_match:
     if not served.studies.delete(identifier):
         state = served.studies.get(identifier).state
         raise ApiError(409, "not-finished", f"the study is {state}: cancel it first, or wait for its end")
+
+
+router.include_router(results.router)
 
 
 def _answer(served: Services, row: Study, if_none_match: str | None = None) -> Response:
@@ -176,4 +170,4 @@ def _made_before(served: Services, identifier: str) -> Study | None:
 
 def _send_first(served: Services, identifier: str) -> None:
     for case in served.studies.unsent(identifier, SENT_AT_ONCE):
-        send(served, case)
+        served.send(served.jobs, case)

@@ -11,7 +11,7 @@ from fastapi.testclient import TestClient
 from starlette.routing import BaseRoute
 
 from api.app import create_app
-from api.deps import Services
+from api.http.deps import Services
 from simcore.spec import SimulationSpec
 from worker.settings import Settings
 

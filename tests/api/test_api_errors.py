@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 from sqlalchemy.exc import OperationalError
 
-from api import errors
+from api.http import errors
 from worker.records.jobs import Jobs
 
 ROOT = Path(__file__).parents[2]

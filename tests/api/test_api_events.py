@@ -6,7 +6,7 @@ import threading
 import pytest
 from sqlalchemy.exc import OperationalError
 
-from api.events import _news
+from api.http.streams import _news
 from worker.records.jobs import StageProgress
 
 
@@ -52,8 +52,8 @@ def test_nonsense(client, case, is_problem, seen):
 
 
 def test_a_live_stream_ends_with_the_case(client, post, served, monkeypatch):
-    monkeypatch.setattr("api.events.FIRST_POLL_SECONDS", 0.02)
-    monkeypatch.setattr("api.events.HEARTBEAT_SECONDS", 0.05)
+    monkeypatch.setattr("api.http.streams.FIRST_POLL_SECONDS", 0.02)
+    monkeypatch.setattr("api.http.streams.HEARTBEAT_SECONDS", 0.05)
     made = post()
     thread = threading.Timer(0.5, lambda: served.jobs.cancel(made["id"]))
     thread.start()
@@ -87,7 +87,7 @@ def test_a_stream_waits_for_the_database(client, case, served, monkeypatch):
 
 
 def test_a_retried_case_goes_on(client, case, served, monkeypatch):
-    monkeypatch.setattr("api.events.FIRST_POLL_SECONDS", 0.02)
+    monkeypatch.setattr("api.http.streams.FIRST_POLL_SECONDS", 0.02)
     served.jobs.retry(case["id"])
     thread = threading.Timer(0.3, lambda: served.jobs.cancel(case["id"]))
     thread.start()
@@ -97,7 +97,7 @@ def test_a_retried_case_goes_on(client, case, served, monkeypatch):
 
 
 def test_forgotten_while_watched(client, post, served, monkeypatch):
-    monkeypatch.setattr("api.events.FIRST_POLL_SECONDS", 0.02)
+    monkeypatch.setattr("api.http.streams.FIRST_POLL_SECONDS", 0.02)
     made = post()
 
     def forget():

@@ -4,7 +4,7 @@ import threading
 
 import pytest
 
-from api import simulations
+from api.simulations import routes as simulations
 from worker.records.idempotency import ABANDONED_SECONDS, Idempotency
 
 KEY_NAME = "Idempotency-Key"

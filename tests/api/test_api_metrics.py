@@ -2,7 +2,7 @@
 
 from prometheus_client.parser import text_string_to_metric_families
 
-from api import metrics
+from api.site import metrics
 from worker.upkeep.reaper import Reaper
 
 

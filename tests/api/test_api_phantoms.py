@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from fastapi.testclient import TestClient
 
-from api.deps import Services
+from api.http.deps import Services
 from simcore.phantom.upload import registry
 
 URL = "http://127.0.0.1"

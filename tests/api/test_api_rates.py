@@ -5,10 +5,10 @@ import asyncio
 import pytest
 from fastapi.testclient import TestClient
 
-from api import slow
 from api.app import create_app
-from api.errors import ApiError
-from api.rates import Rates
+from api.http import slow
+from api.http.errors import ApiError
+from api.http.rates import Rates
 from worker.settings import Settings
 
 URL, LOOPBACK = "http://127.0.0.1", ("127.0.0.1", 50000)

@@ -43,7 +43,7 @@ def test_a_mistake_of_ours_is_found_by_it(settings, broker, is_problem, monkeypa
     app = create_app(settings, broker, sweep=False)
     with (
         TestClient(app, base_url="http://127.0.0.1", client=("127.0.0.1", 1), raise_server_exceptions=False) as client,
-        caplog.at_level(logging.INFO, "api.requests"),
+        caplog.at_level(logging.INFO, "api.http.requests"),
     ):
         refused = client.get("/v1/simulations", headers={"X-Request-Id": "mine"})
     problem = is_problem(refused, 500, "internal-error")
@@ -54,7 +54,7 @@ def test_a_mistake_of_ours_is_found_by_it(settings, broker, is_problem, monkeypa
 
 
 def test_what_changes_something_is_logged(client, caplog):
-    with caplog.at_level(logging.INFO, "api.requests"):
+    with caplog.at_level(logging.INFO, "api.http.requests"):
         client.get("/v1/simulations")
         client.post("/v1/simulations", json={})
     [told] = caplog.records

@@ -9,7 +9,7 @@ import zipfile
 
 import pytest
 
-from api.files import byte_range
+from api.http.files import byte_range
 
 FILES = {"projections/0001.dcm", "volume.dcm", "preview/phantom.png"}
 
@@ -112,7 +112,7 @@ def test_if_range(client, volume):
 
 
 def test_byte_range_of_an_empty_file(is_problem):
-    from api.errors import ApiError
+    from api.http.errors import ApiError
 
     assert byte_range(None, 0) is None
     with pytest.raises(ApiError):

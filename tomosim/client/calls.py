@@ -12,20 +12,20 @@ from urllib.parse import quote
 import httpx
 from pydantic import BaseModel
 
-from api.catalog_resources import PresetList, PresetResource, ServiceInfo
-from api.delivery_resources import (
-    DeliveryPage,
-    DeliveryResource,
-    DestinationList,
-    DestinationResource,
-    EchoResource,
-    InstancePage,
-    NewDelivery,
+from api.deliveries.resources import DeliveryPage, DeliveryResource, InstancePage, NewDelivery
+from api.destinations.resources import DestinationList, DestinationResource, EchoResource
+from api.phantoms.resources import PhantomList, PhantomResource
+from api.simulations.resources import ArtifactList, SimulationPage, SimulationResource
+from api.site.catalog_resources import PresetList, PresetResource, ServiceInfo
+from api.studies.resources import CasePage, StudyEstimate, StudyPage, StudyResource
+from api.webhooks.resources import (
+    CreatedWebhook,
+    MessagePage,
+    MessageResource,
+    NewWebhook,
+    WebhookList,
+    WebhookResource,
 )
-from api.phantom_resources import PhantomList, PhantomResource
-from api.resources import ArtifactList, SimulationPage, SimulationResource
-from api.study_resources import CasePage, StudyEstimate, StudyPage, StudyResource
-from api.webhook_resources import CreatedWebhook, MessagePage, MessageResource, NewWebhook, WebhookList, WebhookResource
 from simcore.estimate import Estimate
 from simcore.phantom.upload.reading import Reading
 from simcore.spec import SimulationSpec

@@ -15,19 +15,13 @@ from typing import IO, Any, Self, TypeVar
 
 import httpx
 
-from api.catalog_resources import PresetResource, ServiceInfo
-from api.delivery_resources import (
-    DeliveryResource,
-    DestinationName,
-    DestinationResource,
-    EchoResource,
-    InstanceResource,
-    NewDelivery,
-)
-from api.phantom_resources import PhantomResource
-from api.resources import ArtifactResource, SimulationResource
-from api.study_resources import CaseResource, StudyEstimate, StudyResource
-from api.webhook_resources import DEFAULT_EVENTS, CreatedWebhook, MessageResource, NewWebhook, WebhookResource
+from api.deliveries.resources import DeliveryResource, InstanceResource, NewDelivery
+from api.destinations.resources import DestinationName, DestinationResource, EchoResource
+from api.phantoms.resources import PhantomResource
+from api.simulations.resources import ArtifactResource, SimulationResource
+from api.site.catalog_resources import PresetResource, ServiceInfo
+from api.studies.resources import CaseResource, StudyEstimate, StudyResource
+from api.webhooks.resources import DEFAULT_EVENTS, CreatedWebhook, MessageResource, NewWebhook, WebhookResource
 from simcore.estimate import Estimate
 from simcore.phantom.upload.reading import Reading
 from simcore.spec import SimulationSpec

@@ -13,7 +13,7 @@ from worker.records import quotas
 from worker.records.database import events, reading, simulations
 from worker.records.leases import Leases
 from worker.records.quotas import Submitter
-from worker.records.retention import ExpiredError, is_expired
+from worker.records.retention import ExpiredError
 from worker.records.rows import Json, Leased, NotFoundError
 
 UNKNOWN = Submitter("local")
@@ -40,6 +40,10 @@ class Simulation(Leased):
     retention: float | None
     expires_at: float | None
     pinned: bool
+
+    def is_expired(self, now: float) -> bool:
+        """Whether its files are not given out any more (``retention.unexpired`` as a condition of a query)."""
+        return not self.pinned and self.expires_at is not None and self.expires_at <= now
 
 
 @dataclass(frozen=True)
@@ -108,7 +112,7 @@ class Jobs(Leases[Simulation]):
 
     def manifest(self, identifier: str) -> Json | None:
         """The manifest of a simulation that succeeded, else None. raises: NotFoundError, ExpiredError"""
-        if is_expired(row := self.get(identifier), self.clock()):
+        if (row := self.get(identifier)).is_expired(self.clock()):
             raise ExpiredError(f"the files of simulation {row.id}")
         return self._column(identifier, "manifest")  # type: ignore[no-any-return]
 

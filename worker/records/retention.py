@@ -28,19 +28,10 @@ class Kept(Protocol):
     def id(self) -> str: ...
     @property
     def study_id(self) -> str | None: ...
-    @property
-    def expires_at(self) -> float | None: ...
-    @property
-    def pinned(self) -> bool: ...
-
-
-def is_expired(row: Kept, now: float) -> bool:
-    """Whether the files of a simulation are not given out any more."""
-    return not row.pinned and row.expires_at is not None and row.expires_at <= now
 
 
 def unexpired(now: float) -> sa.ColumnElement[bool]:
-    """As a condition of a query."""
+    """Those whose files are given out, as a condition of a query."""
     c = simulations.c
     return sa.or_(c.pinned, c.expires_at.is_(None), c.expires_at > now)
 

@@ -16,7 +16,7 @@ from dicomweb_client import DICOMwebClient
 from fastapi.testclient import TestClient
 
 from api.app import create_app
-from api.deps import Services
+from api.http.deps import Services
 from simcore.core.store import FileRef
 from worker.settings import Settings
 

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from api.dicomweb import accept, query, rendering
 from api.dicomweb.retrieve import frame_numbers
-from api.errors import ApiError
+from api.http.errors import ApiError
 from worker.dicom_index.index import Condition
 
 EXPLICIT = "1.2.840.10008.1.2.1"

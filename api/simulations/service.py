@@ -1,0 +1,35 @@
+"""What a posted case needs before it is taken into the queue."""
+
+from __future__ import annotations
+
+from api.http.deps import Services
+from api.http.errors import ApiError
+from simcore import estimate
+from simcore.estimate import Estimate
+from simcore.phantom.upload import registry
+from simcore.phantom.upload.spec import UploadedPhantom
+from simcore.spec import SimulationSpec
+from worker.contract import Device, Priority, Queue, queue_of
+from worker.records.jobs import Simulation
+from worker.records.rows import NotFoundError
+
+
+def chosen_queue(served: Services, priority: Priority, device: Device) -> Queue:
+    """raises: ApiError 422 where there is no such worker"""
+    if device == "gpu" and not served.settings.gpu:
+        item = {"parameter": "device", "value": device, "detail": "allowed here: cpu"}
+        raise ApiError(422, "invalid-request", "device = 'gpu': there is no worker with one; use cpu", errors=[item])
+    return queue_of(priority, device)
+
+
+def check(specification: SimulationSpec, served: Services) -> Estimate:
+    if isinstance(specification.phantom, UploadedPhantom):
+        registry.require(served.store, specification.phantom)
+    return estimate.check(specification, served.settings.memory_limit)
+
+
+def made_before(served: Services, identifier: str) -> Simulation | None:
+    try:
+        return served.jobs.get(identifier)
+    except NotFoundError:
+        return None
