@@ -1,9 +1,7 @@
-"""Giving messages to the broker, and taking them: the only file that configures Celery."""
+"""Giving messages to the broker, and the Celery application of those who take them."""
 
 from __future__ import annotations
 
-import os
-from collections.abc import Sequence
 from typing import Any, Protocol
 
 from celery import Celery
@@ -56,27 +54,6 @@ def create_celery(settings: Settings) -> Celery:
         },
     )
     return app
-
-
-def work(app: Celery, name: str, queues: Sequence[str], slots: int, settings: Settings) -> int:
-    """Works for these queues until SIGTERM or SIGINT; the exit code. name: of this kind of worker."""
-    options = [
-        "--quiet",
-        "worker",
-        "--pool=threads",
-        f"--concurrency={slots}",
-        f"--queues={','.join(queues)}",
-        f"--hostname={name}-{os.getpid()}@%h",
-        f"--loglevel={settings.log_level}",
-        "--without-gossip",
-        "--without-mingle",
-        "--without-heartbeat",
-    ]
-    try:
-        app.worker_main(options)
-    except SystemExit as end:
-        return end.code if isinstance(end.code, int) else int(end.code is not None)
-    return 0
 
 
 class CeleryMessenger:

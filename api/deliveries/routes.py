@@ -16,19 +16,17 @@ from api.deliveries.resources import (
     delivery_resource,
     instance_resource,
 )
-from api.deliveries.service import items_of_case, items_of_study, made_before
+from api.deliveries.service import items_of_case, items_of_study
 from api.destinations.service import find_destination
 from api.http.auth import Deliver, Read
 from api.http.bodies import body_of, posted
 from api.http.conditions import none_match
 from api.http.deps import RETRY_AFTER, Served, identifier_of, location
-from api.http.errors import ApiError
 from api.http.idempotency import IdempotentRoute, Making
 from api.http.pages import AskedPage
 from api.http.streams import STREAM_HEADERS, sequence_of, stream
 from worker.contract import InstanceState, State
 from worker.records.delivery_tables import Request as DeliveryRequest
-from worker.records.rows import StateError
 
 SHOWN_INSTANCES = 1000
 """Instances in the document of one delivery; more are read page by page."""
@@ -53,7 +51,7 @@ def create(
     response: Response,
 ) -> DeliveryResource:
     """Queues a delivery: a whole case or study, some series of a case, or some of the files."""
-    row = made_before(served, making.identifier) if making.again else None
+    row = making.earlier(served.deliveries.get)
     if row is None:
         destination = find_destination(served, new.destination, "/destination")
         items = items_of_study(served, new) if new.study_id else items_of_case(served, new)
@@ -142,11 +140,7 @@ def events(
 @router.post("/{identifier}/cancel", status_code=202)
 def cancel(caller: Deliver, identifier: Identifier, served: Served, response: Response) -> DeliveryResource:
     """Stops a delivery: at once where it is queued, within a second or so where it runs. What is stored stays."""
-    try:
-        row = served.deliveries.cancel(identifier)
-    except StateError as error:
-        detail = f"the delivery has {error.state}; there is nothing to cancel"
-        raise ApiError(409, "already-finished", detail) from None
+    row = served.cancel(served.deliveries, identifier)
     if not row.is_final:
         response.headers.update(RETRY_AFTER)
     return delivery_resource(row)
@@ -157,12 +151,6 @@ def retry(
     caller: Deliver, identifier: Identifier, served: Served, request: Request, response: Response
 ) -> DeliveryResource:
     """Queues a failed or cancelled delivery again; what was stored is not sent again."""
-    try:
-        row = served.deliveries.retry(identifier)
-    except StateError as error:
-        code = "already-finished" if error.state == "succeeded" else "not-finished"
-        detail = f"the delivery is {error.state}; only a failed or cancelled one is retried"
-        raise ApiError(409, code, detail) from None
-    served.send(served.deliveries, row)
+    row = served.retry(served.deliveries, identifier)
     response.headers.update({**location(request, delivery_path(row.id)), **RETRY_AFTER})
     return delivery_resource(row)

@@ -7,17 +7,9 @@ from api.http.deps import Services
 from api.http.errors import ApiError
 from api.simulations.artifacts import finished_manifest
 from simcore.core.store import FileRef
-from worker.records.delivery_tables import Delivery, Item, items_of
-from worker.records.rows import NotFoundError
+from worker.records.delivery_tables import Item, items_of
 
 CASES_AT_A_TIME = 200
-
-
-def made_before(served: Services, identifier: str) -> Delivery | None:
-    try:
-        return served.deliveries.get(identifier)
-    except NotFoundError:
-        return None
 
 
 def items_of_study(served: Services, new: NewDelivery) -> list[Item]:

@@ -64,7 +64,7 @@ def create(
     response: Response,
 ) -> DestinationResource:
     """Makes a destination. Nothing is sent to it; ``echo`` tests it."""
-    row = served.destinations.made_before(making.identifier) if making.again else None
+    row = making.earlier(served.destinations.get)
     if row is None:
         try:
             row = served.destinations.create(new, making.identifier)

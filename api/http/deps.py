@@ -6,10 +6,11 @@ import logging
 import re
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Annotated, Any
+from typing import Annotated, Any, TypeVar
 
 from fastapi import Depends, Request
 
+from api.http.errors import ApiError
 from api.http.rates import Rates
 from simcore.core.store import Store
 from worker.messages import CeleryMessenger, Messenger
@@ -24,13 +25,15 @@ from worker.records.jobs import Jobs, Simulation
 from worker.records.keys import Keys, check_address
 from worker.records.leases import Leases
 from worker.records.retention import Retention
-from worker.records.rows import NotFoundError
+from worker.records.rows import NotFoundError, StateError
 from worker.records.studies import Studies
 from worker.records.webhooks import Webhooks
 from worker.settings import Settings
 from worker.storage import open_store
 
 log = logging.getLogger(__name__)
+
+Lease = TypeVar("Lease", Simulation, Delivery)
 
 
 @dataclass(frozen=True)
@@ -89,6 +92,25 @@ class Services:
     def deliveries(self) -> Deliveries:
         """The repository of deliveries."""
         return Deliveries(self.jobs.engine, self.jobs.lease_seconds, self.jobs.clock)
+
+    def cancel(self, leases: Leases[Lease], identifier: str) -> Lease:
+        """Cancels a case or a delivery. raises: NotFoundError; ApiError 409 where it has ended"""
+        try:
+            return leases.cancel(identifier)
+        except StateError as error:
+            detail = f"the {leases.what} has {error.state}; there is nothing to cancel"
+            raise ApiError(409, "already-finished", detail) from None
+
+    def retry(self, leases: Leases[Lease], identifier: str) -> Lease:
+        """Queues a case or a delivery again. raises: NotFoundError; ApiError 409 where it did not fail"""
+        try:
+            row = leases.retry(identifier)
+        except StateError as error:
+            code = "already-finished" if error.state == "succeeded" else "not-finished"
+            detail = f"the {leases.what} is {error.state}; only a failed or cancelled one is retried"
+            raise ApiError(409, code, detail) from None
+        self.send(leases, row)
+        return row
 
     def send(self, leases: Leases[Any], row: Simulation | Delivery) -> None:
         """Sends the message of a row that is committed. The sweep sends it later where that fails, or it is not due."""

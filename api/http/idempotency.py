@@ -13,7 +13,7 @@ import re
 import uuid
 from collections.abc import Callable, Coroutine
 from dataclasses import dataclass
-from typing import Annotated, Any
+from typing import Annotated, Any, TypeVar
 
 from fastapi import Depends, Header, Request, Response
 from fastapi.concurrency import run_in_threadpool
@@ -41,6 +41,8 @@ _KEY = re.compile(r"[\x21-\x7e]{1,255}")
 _REFUSALS = (ApiError, SimulationError, HTTPException, RequestValidationError, NotFoundError, QuotaError)
 """What a route raises before it has done anything."""
 
+Row = TypeVar("Row")
+
 Handler = Callable[[Request], Coroutine[Any, Any, Response]]
 
 
@@ -53,6 +55,13 @@ class New:
 
     identifier: str
     again: bool
+
+    def earlier(self, get: Callable[[str], Row]) -> Row | None:
+        """What a request with the same key has made; None where there was none, or it did not get so far."""
+        try:
+            return get(self.identifier) if self.again else None
+        except NotFoundError:
+            return None
 
 
 def _making(

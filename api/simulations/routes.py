@@ -17,7 +17,7 @@ from api.http.pages import AskedPage
 from api.simulations.automatic import BODY_WITH_DELIVER, WantedDeliveries, require_deliver
 from api.simulations.resources import SimulationPage, SimulationResource, simulation_path, simulation_resource
 from api.simulations.retention import AskedRetention
-from api.simulations.service import check, chosen_queue, made_before
+from api.simulations.service import check, chosen_queue
 from simcore.estimate import Estimate
 from worker.contract import Device, Priority, State
 from worker.records.jobs import Simulation
@@ -51,7 +51,7 @@ def create(
     require_deliver(caller, wanted)
     data = specification.model_dump(mode="json")
     queue = chosen_queue(served, priority, device)
-    row = made_before(served, making.identifier) if making.again else None
+    row = making.earlier(served.jobs.get)
     if row is None:
         needs = check(specification, served)
         served.store.require_room(needs.storage_bytes)
@@ -100,12 +100,7 @@ def get_simulation(caller: Read, identifier: Identifier, served: Served, if_none
 @router.post("/{identifier}/cancel", status_code=202)
 def cancel(caller: Write, identifier: Identifier, served: Served, response: Response) -> SimulationResource:
     """Stops a case: at once where it is queued, within a second or so where it runs."""
-    try:
-        row = served.jobs.cancel(identifier)
-    except StateError as error:
-        raise ApiError(
-            409, "already-finished", f"the simulation has {error.state}; there is nothing to cancel"
-        ) from None
+    row = served.cancel(served.jobs, identifier)
     if not row.is_final:
         response.headers.update(RETRY_AFTER)
     return simulation_resource(row)
@@ -116,14 +111,7 @@ def retry(
     caller: Write, identifier: Identifier, served: Served, request: Request, response: Response
 ) -> SimulationResource:
     """Queues a failed or cancelled case again; stages that finished are not computed again."""
-    try:
-        row = served.jobs.retry(identifier)
-    except StateError as error:
-        code = "already-finished" if error.state == "succeeded" else "not-finished"
-        raise ApiError(
-            409, code, f"the simulation is {error.state}; only a failed or cancelled one is retried"
-        ) from None
-    served.send(served.jobs, row)
+    row = served.retry(served.jobs, identifier)
     response.headers.update({**location(request, simulation_path(row.id)), **RETRY_AFTER})
     return simulation_resource(row)
 

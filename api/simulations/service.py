@@ -10,8 +10,6 @@ from simcore.phantom.upload import registry
 from simcore.phantom.upload.spec import UploadedPhantom
 from simcore.spec import SimulationSpec
 from worker.contract import Device, Priority, Queue, queue_of
-from worker.records.jobs import Simulation
-from worker.records.rows import NotFoundError
 
 
 def chosen_queue(served: Services, priority: Priority, device: Device) -> Queue:
@@ -26,10 +24,3 @@ def check(specification: SimulationSpec, served: Services) -> Estimate:
     if isinstance(specification.phantom, UploadedPhantom):
         registry.require(served.store, specification.phantom)
     return estimate.check(specification, served.settings.memory_limit)
-
-
-def made_before(served: Services, identifier: str) -> Simulation | None:
-    try:
-        return served.jobs.get(identifier)
-    except NotFoundError:
-        return None

@@ -21,7 +21,6 @@ from api.studies.checking import check
 from api.studies.resources import StudyEstimate, StudyPage, StudyResource, study_path, study_resource
 from simcore.study import StudySpec, columns
 from worker.contract import Device, Priority, State
-from worker.records.rows import NotFoundError
 from worker.records.studies import Study
 
 SENT_AT_ONCE = 10
@@ -66,7 +65,7 @@ def create(
     """
     require_deliver(caller, wanted)
     queue = chosen_queue(served, priority, device)
-    row = _made_before(served, making.identifier) if making.again else None
+    row = making.earlier(served.studies.get)
     if row is None:
         checked = check(study, served)
         served.store.require_room(checked.needs.storage_bytes)
@@ -159,13 +158,6 @@ router.include_router(results.router)
 def _answer(served: Services, row: Study, if_none_match: str | None = None) -> Response:
     content = study_resource(row, served.studies.document(row.id))
     return document(content, if_none_match, {} if row.is_final else RETRY_AFTER)
-
-
-def _made_before(served: Services, identifier: str) -> Study | None:
-    try:
-        return served.studies.get(identifier)
-    except NotFoundError:
-        return None
 
 
 def _send_first(served: Services, identifier: str) -> None:

@@ -301,13 +301,14 @@ def test_finished_stages_are_kept_over_a_kill(slot, jobs):
 
 
 def test_two_slots_run_two_cases(make_module_settings, jobs):
-    slots = Slots("test", make_module_settings(worker_slots=2), jobs)
+    stopping = threading.Event()
+    slots = Slots("test", make_module_settings(worker_slots=2), jobs, stopping)
     try:
         cases = [queue(jobs, "forever", seed) for seed in (1, 2)]
         threads = [run_in_thread(slots, c) for c in cases]
         for c in cases:
             running(jobs, c)
-        slots.stopping.set()
+        stopping.set()
         for t in threads:
             t.join(PATIENCE_SECONDS)
         assert [jobs.get(c).state for c in cases] == ["queued", "queued"]

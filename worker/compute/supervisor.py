@@ -162,11 +162,8 @@ class _Watch(Watch):
 class Slots:
     """The slots of one worker."""
 
-    def __init__(self, worker: str, settings: Settings, jobs: Jobs) -> None:
-        self.stopping = threading.Event()
-        self._all = [
-            Slot(f"{worker}/{number}", settings, jobs, self.stopping) for number in range(settings.worker_slots)
-        ]
+    def __init__(self, worker: str, settings: Settings, jobs: Jobs, stopping: threading.Event) -> None:
+        self._all = [Slot(f"{worker}/{number}", settings, jobs, stopping) for number in range(settings.worker_slots)]
         self._free: queue.SimpleQueue[Slot] = queue.SimpleQueue()
         for slot in self._all:
             self._free.put(slot)

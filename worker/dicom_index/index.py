@@ -6,9 +6,8 @@ that has not expired is shown.
 
 from __future__ import annotations
 
-import time
 from collections import defaultdict
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import asdict, dataclass
 from typing import Any
 
@@ -16,7 +15,7 @@ import sqlalchemy as sa
 from sqlalchemy.exc import IntegrityError
 
 from simcore.core.store import FileRef
-from worker.records.database import reading, simulations
+from worker.records.database import Repository, reading, simulations
 from worker.records.dicom import KEYS, TABLES, Level, indexed, instances, series, studies
 from worker.records.retention import ExpiredError, unexpired
 
@@ -107,12 +106,8 @@ class Entry:
     pixels: Pixels | None
 
 
-class DicomIndex:
+class DicomIndex(Repository):
     """Repository of the index."""
-
-    def __init__(self, engine: sa.Engine, clock: Callable[[], float] = time.time) -> None:
-        self.engine = engine
-        self.clock = clock
 
     def missing(self) -> tuple[str, Json] | None:
         """(identifier, manifest) of the oldest case that succeeded and is not in the index; None where all are."""

@@ -6,6 +6,7 @@ import logging
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from dataclasses import fields
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -21,6 +22,7 @@ AWAY = (OperationalError, InterfaceError, TimeoutError)
 RETRY_SECONDS = 0.5
 
 Result = TypeVar("Result")
+Row = TypeVar("Row")
 
 log = logging.getLogger(__name__)
 
@@ -107,6 +109,33 @@ def connect(url: str) -> sa.Engine:
     event.listen(engine, "connect", _prepare_sqlite)
     event.listen(engine, "begin", _begin_sqlite)
     return engine
+
+
+class Repository:
+    """Whatever reads and changes tables. clock: seconds since 1970."""
+
+    def __init__(self, engine: sa.Engine, clock: Callable[[], float] = time.time) -> None:
+        self.engine = engine
+        self.clock = clock
+
+
+def columns_of(table: sa.Table, kind: type[Any]) -> list[sa.Column[Any]]:
+    """The columns that the fields of a dataclass are named after."""
+    return [table.c[f.name] for f in fields(kind)]
+
+
+def rows_of(result: sa.Result[Any], kind: type[Row]) -> list[Row]:
+    """Rows of these columns as instances of the dataclass."""
+    return [kind(**row) for row in result.mappings()]
+
+
+def newest(query: sa.Select[Any], table: sa.Table, limit: int, before: tuple[float, str] | None) -> sa.Select[Any]:
+    """The newest rows first; before: (created, id) of the last one already seen."""
+    c = table.c
+    if before is not None:
+        created, identifier = before
+        query = query.where(sa.or_(c.created < created, sa.and_(c.created == created, c.id < identifier)))
+    return query.order_by(c.created.desc(), c.id.desc()).limit(limit)
 
 
 @contextmanager

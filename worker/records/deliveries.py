@@ -23,7 +23,7 @@ from worker.contract import (
     Queue,
     State,
 )
-from worker.records.database import reading
+from worker.records.database import columns_of, reading, rows_of
 from worker.records.delivery_tables import (
     Delivery,
     Instance,
@@ -37,7 +37,7 @@ from worker.records.delivery_tables import (
 )
 from worker.records.destinations import find, lock
 from worker.records.leases import Leases
-from worker.records.rows import NO_OWNER, Json, NotFoundError, StateError
+from worker.records.rows import QUEUED, Json, NotFoundError, StateError
 
 MAX_BACKOFF_SECONDS = 600.0
 
@@ -45,7 +45,7 @@ COMMITTED = "committed"
 """Code of an instance of which the peer has said that it keeps it."""
 
 
-_INSTANCE_COLUMNS = [instances.c[f.name] for f in fields(Instance)]
+_INSTANCE_COLUMNS = columns_of(instances, Instance)
 
 
 class Deliveries(Leases[Delivery]):
@@ -128,15 +128,14 @@ class Deliveries(Leases[Delivery]):
         if state is not None:
             query = query.where(c.state == state)
         with reading(self.engine) as connection:
-            return [Instance(**row) for row in connection.execute(query.limit(limit)).mappings()]
+            return rows_of(connection.execute(query.limit(limit)), Instance)
 
     def retry(self, identifier: str) -> Delivery:
         """Queues a failed or cancelled delivery again: what was not stored is sent.
 
         raises: NotFoundError, StateError
         """
-        values: Json = {**self.no_progress, **NO_OWNER, "state": "queued", "attempt": 0, "sent": None, "error": None}
-        values |= {"started": None, "finished": None, "failures": 0, "not_before": None, "instances_failed": 0}
+        values = self._queued_again() | {"failures": 0, "not_before": None, "instances_failed": 0}
         anew: Json = {"state": "waiting", "attempts": 0, "status": None, "code": None, "message": "", "finished": None}
         c = instances.c
         with self.engine.begin() as connection:
@@ -220,7 +219,7 @@ class Deliveries(Leases[Delivery]):
             c.delivery_id == identifier, c.state == "stored", c.code != COMMITTED
         )
         with reading(self.engine) as connection:
-            return [Instance(**row) for row in connection.execute(query.order_by(c.number)).mappings()]
+            return rows_of(connection.execute(query.order_by(c.number)), Instance)
 
     def commit(self, identifier: str, committed: Sequence[int], failed: Mapping[int, str]) -> None:
         """Writes down a report of storage commitment. committed, failed: numbers of instances; why they failed."""
@@ -263,9 +262,7 @@ class Deliveries(Leases[Delivery]):
             return self.fail(identifier, owner, error)
         wait = min(MAX_BACKOFF_SECONDS, backoff_seconds * 2 ** min(failures - 1, 30))
         values = {
-            **NO_OWNER,
-            "state": "queued",
-            "sent": None,
+            **QUEUED,
             "error": error,
             "failures": failures,
             "not_before": self.clock() + wait,

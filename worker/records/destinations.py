@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import time
 import uuid
-from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
@@ -12,7 +10,7 @@ import sqlalchemy as sa
 from sqlalchemy.exc import IntegrityError
 
 from worker.destination_spec import Destination
-from worker.records.database import metadata, reading
+from worker.records.database import Repository, metadata, reading
 from worker.records.delivery_tables import unfinished
 from worker.records.rows import NotFoundError
 
@@ -51,12 +49,8 @@ class DestinationRow:
     definition: Destination
 
 
-class Destinations:
+class Destinations(Repository):
     """Repository of destinations."""
-
-    def __init__(self, engine: sa.Engine, clock: Callable[[], float] = time.time) -> None:
-        self.engine = engine
-        self.clock = clock
 
     def create(self, definition: Destination, identifier: str = "") -> DestinationRow:
         """identifier: a new one where empty. raises: NameTakenError"""
@@ -66,17 +60,11 @@ class Destinations:
             with self.engine.begin() as connection:
                 connection.execute(destinations.insert().values(values))
         except IntegrityError:
-            if self.made_before(row.id):
-                raise  # not the name, but this very destination
+            with reading(self.engine) as connection:
+                if connection.scalar(sa.select(sa.exists().where(destinations.c.id == row.id))):
+                    raise  # not the name, but this very destination
             raise NameTakenError(definition.name) from None
         return row
-
-    def made_before(self, identifier: str) -> DestinationRow | None:
-        """For a client whose answer was lost; None where ``create`` did not get so far."""
-        try:
-            return self.get(identifier)
-        except NotFoundError:
-            return None
 
     def get(self, identifier: str) -> DestinationRow:
         """By identifier. raises: NotFoundError"""

@@ -2,13 +2,10 @@
 
 from __future__ import annotations
 
-import time
-from collections.abc import Callable
-
 import sqlalchemy as sa
 from sqlalchemy.exc import IntegrityError
 
-from worker.records.database import metadata, reading, simulations, workers
+from worker.records.database import Repository, metadata, reading, simulations, workers
 
 BEAT_SECONDS = 3.0
 """Interval at which a worker says that it is alive."""
@@ -28,12 +25,8 @@ chores = sa.Table(
 )
 
 
-class Fleet:
+class Fleet(Repository):
     """Repository of workers and counts."""
-
-    def __init__(self, engine: sa.Engine, clock: Callable[[], float] = time.time) -> None:
-        self.engine = engine
-        self.clock = clock
 
     def beat(self, worker: str, slots: int) -> None:
         """A worker says that it is alive."""
@@ -80,12 +73,8 @@ class Fleet:
         return {str(queue): (int(number), max(0.0, now - oldest)) for queue, number, oldest in rows}
 
 
-class Chores:
+class Chores(Repository):
     """Says whose turn it is."""
-
-    def __init__(self, engine: sa.Engine, clock: Callable[[], float] = time.time) -> None:
-        self.engine = engine
-        self.clock = clock
 
     def claim(self, name: str, within_seconds: float) -> bool:
         """Whether the chore is due and this process is to do it.

@@ -9,14 +9,13 @@ import hashlib
 import hmac
 import re
 import secrets
-import time
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, fields
 
 import sqlalchemy as sa
 
 from worker.contract import Scope
-from worker.records.database import metadata, reading
+from worker.records.database import Repository, columns_of, metadata, reading, rows_of
 from worker.settings import Settings, SettingsError, is_loopback
 
 USED_SECONDS = 60.0
@@ -62,15 +61,11 @@ class Key:
         return "expired" if self.expires is not None and self.expires <= now else None
 
 
-_COLUMNS = [table.c[f.name] for f in fields(Key)]
+_COLUMNS = columns_of(table, Key)
 
 
-class Keys:
+class Keys(Repository):
     """Repository of API keys."""
-
-    def __init__(self, engine: sa.Engine, clock: Callable[[], float] = time.time) -> None:
-        self.engine = engine
-        self.clock = clock
 
     def create(
         self,
@@ -95,8 +90,7 @@ class Keys:
     def all(self) -> list[Key]:
         """Every key that was ever made, oldest first."""
         with reading(self.engine) as connection:
-            rows = connection.execute(sa.select(*_COLUMNS).order_by(table.c.created, table.c.id))
-            return [Key(**row) for row in rows.mappings()]
+            return rows_of(connection.execute(sa.select(*_COLUMNS).order_by(table.c.created, table.c.id)), Key)
 
     def exist(self) -> bool:
         """Whether a key was ever made. One that was revoked counts: what was closed does not open by itself."""

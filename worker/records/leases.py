@@ -9,19 +9,18 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import fields
 from typing import Any, ClassVar, Generic, TypeVar
 
 import sqlalchemy as sa
 
 from worker.contract import ACTIVE_STATES, EVENT_STATE, FINAL_STATES, WORKER_LOST, State, failure
-from worker.records.database import reading
-from worker.records.rows import NO_OWNER, Event, Json, Leased, NotFoundError, StateError
+from worker.records.database import Repository, columns_of, newest, reading, rows_of
+from worker.records.rows import NO_OWNER, QUEUED, Event, Json, Leased, NotFoundError, StateError
 
 Row = TypeVar("Row", bound=Leased)
 
 
-class Leases(Generic[Row]):
+class Leases(Repository, Generic[Row]):
     """Repository of one table of leased rows and of their events.
 
     clock: seconds since 1970. Machines that share a database need clocks that agree well within a lease.
@@ -46,9 +45,8 @@ class Leases(Generic[Row]):
     """Called with a row that is queued again, in that transaction."""
 
     def __init__(self, engine: sa.Engine, lease_seconds: float = 30.0, clock: Callable[[], float] = time.time) -> None:
-        self.engine = engine
+        super().__init__(engine, clock)
         self.lease_seconds = lease_seconds
-        self.clock = clock
 
     # What clients ask for
 
@@ -133,7 +131,7 @@ class Leases(Generic[Row]):
                 self._change(connection, identifier, ["queued"], values)
             # The owner's also where a first try was written and its answer lost with the connection.
             mine = sa.select(*self._columns).where(*self._mine(identifier, owner))
-            return next(iter(self._many(connection.execute(mine))), None)
+            return next(iter(self._rows(connection.execute(mine))), None)
 
     def _may_claim(self, connection: sa.Connection, identifier: str) -> bool:
         """Whether something besides its state keeps a row from being claimed."""
@@ -167,18 +165,11 @@ class Leases(Generic[Row]):
 
         reason: the error {kind, code, message}; it stands in the event.
         """
-        values = {**NO_OWNER, "state": "queued", "sent": None}
-        return self._finish(identifier, owner, values, reason)
+        return self._finish(identifier, owner, QUEUED, reason)
 
     def release(self, identifier: str, owner: str) -> bool:
         """Gives a row back because its worker stops: queued again, and the attempt does not count."""
-        values = {
-            **NO_OWNER,
-            "state": "queued",
-            "sent": None,
-            "attempt": self.table.c.attempt - 1,
-        }
-        return self._finish(identifier, owner, values)
+        return self._finish(identifier, owner, {**QUEUED, "attempt": self.table.c.attempt - 1})
 
     # What the sweep does
 
@@ -213,7 +204,7 @@ class Leases(Generic[Row]):
         taken = []
         for identifier, attempt in lost:
             if attempt < max_attempts:
-                values = {**NO_OWNER, "state": "queued", "sent": None}
+                values = QUEUED
             else:
                 values = self._final("failed", error=self._worker_lost(attempt))
             with self.engine.begin() as connection:
@@ -238,31 +229,27 @@ class Leases(Generic[Row]):
 
     @property
     def _columns(self) -> list[sa.Column[Any]]:
-        return [self.table.c[f.name] for f in fields(self.row_type)]
+        return columns_of(self.table, self.row_type)
 
     def _one(self, connection: sa.Connection, identifier: str) -> Row:
-        found = self._many(connection.execute(sa.select(*self._columns).where(self.table.c.id == identifier)))
+        found = self._rows(connection.execute(sa.select(*self._columns).where(self.table.c.id == identifier)))
         if not found:
             raise NotFoundError(identifier, self.what)
         return found[0]
 
-    def _many(self, rows: sa.Result[Any]) -> list[Row]:
-        return [self.row_type(**row) for row in rows.mappings()]
+    def _rows(self, result: sa.Result[Any]) -> list[Row]:
+        return rows_of(result, self.row_type)
 
     def _queued(self, condition: sa.ColumnElement[bool], limit: int) -> list[Row]:
         query = sa.select(*self._columns).where(self.table.c.state == "queued", condition)
         with reading(self.engine) as connection:
-            return self._many(connection.execute(query.order_by(self.table.c.created).limit(limit)))
+            return self._rows(connection.execute(query.order_by(self.table.c.created).limit(limit)))
 
     def _page(self, limit: int, before: tuple[float, str] | None, *conditions: sa.ColumnElement[bool]) -> list[Row]:
         """The newest rows first; ``before``: (created, id) of the last one already seen."""
-        c = self.table.c
-        query = sa.select(*self._columns).where(*conditions).order_by(c.created.desc(), c.id.desc())
-        if before is not None:
-            created, identifier = before
-            query = query.where(sa.or_(c.created < created, sa.and_(c.created == created, c.id < identifier)))
+        query = newest(sa.select(*self._columns).where(*conditions), self.table, limit, before)
         with reading(self.engine) as connection:
-            return self._many(connection.execute(query.limit(limit)))
+            return self._rows(connection.execute(query))
 
     def _mine(self, identifier: str, owner: str) -> tuple[sa.ColumnElement[bool], ...]:
         return (
@@ -272,8 +259,8 @@ class Leases(Generic[Row]):
         )
 
     def _queued_again(self) -> Json:
-        values: Json = {**self.no_progress, **NO_OWNER, "state": "queued", "attempt": 0, "sent": None, "error": None}
-        return values | {"started": None, "finished": None}
+        values = {**self.no_progress, **QUEUED, "attempt": 0, "error": None, "started": None, "finished": None}
+        return values
 
     def _final(self, state: State, **values: Any) -> Json:
         return {**NO_OWNER, "state": state, "finished": self.clock(), **values}
@@ -318,7 +305,7 @@ class Leases(Generic[Row]):
         return True
 
     def _ended(self, connection: sa.Connection, identifiers: Sequence[str]) -> None:
-        rows = self._many(connection.execute(sa.select(*self._columns).where(self.table.c.id.in_(identifiers))))
+        rows = self._rows(connection.execute(sa.select(*self._columns).where(self.table.c.id.in_(identifiers))))
         for call in self.on_end if rows else ():
             call(self, connection, rows)
 

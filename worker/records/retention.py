@@ -6,14 +6,12 @@ study are kept until the whole study has ended and their time has passed since.
 
 from __future__ import annotations
 
-import time
-from collections.abc import Callable
 from typing import Protocol
 
 import sqlalchemy as sa
 
 from worker.contract import EVENT_PROGRESS, FINAL_STATES
-from worker.records.database import events, simulations
+from worker.records.database import Repository, events, simulations
 from worker.records.rows import NotFoundError
 
 
@@ -56,12 +54,8 @@ def _set_expiry(connection: sa.Connection, mine: sa.ColumnElement[bool], now: fl
         connection.execute(simulations.update().where(*succeeded).values(expires_at=now + c.retention))
 
 
-class Retention:
+class Retention(Repository):
     """Pins, and what is forgotten in time."""
-
-    def __init__(self, engine: sa.Engine, clock: Callable[[], float] = time.time) -> None:
-        self.engine = engine
-        self.clock = clock
 
     def pin(self, identifier: str) -> None:
         """Keeps the files of a simulation. raises: NotFoundError, ExpiredError"""

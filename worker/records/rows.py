@@ -58,3 +58,4 @@ class Event:
 
 
 NO_OWNER: Json = {"owner": None, "lease_until": None}
+QUEUED: Json = {**NO_OWNER, "state": "queued", "sent": None}

@@ -11,7 +11,7 @@ import sqlalchemy as sa
 
 from worker.contract import EVENT_STATE, FINAL_STATES, Queue, State, StudyState
 from worker.records import quotas
-from worker.records.database import events, metadata, reading, simulations
+from worker.records.database import columns_of, events, metadata, newest, reading, rows_of, simulations
 from worker.records.jobs import UNKNOWN, Jobs, Simulation
 from worker.records.quotas import Submitter
 from worker.records.retention import unexpired
@@ -166,20 +166,15 @@ class Studies:
 
     def page(self, limit: int, before: tuple[float, str] | None = None) -> list[Study]:
         """The newest studies first; ``before``: (created, id) of the last one already seen."""
-        c = studies.c
-        query = sa.select(*_COLUMNS).order_by(c.created.desc(), c.id.desc()).limit(limit)
-        if before is not None:
-            created, identifier = before
-            query = query.where(sa.or_(c.created < created, sa.and_(c.created == created, c.id < identifier)))
         with reading(self.engine) as connection:
-            return _with_counts(connection, query)
+            return _with_counts(connection, newest(sa.select(*_COLUMNS), studies, limit, before))
 
     def cases(
         self, identifier: str, limit: int | None = None, state: State | None = None, after: int = 0
     ) -> list[Simulation]:
         """Its cases in the order of their numbers, those beyond ``after``."""
         query = (
-            sa.select(*(simulations.c[name] for name in Simulation.__dataclass_fields__))
+            sa.select(*columns_of(simulations, Simulation))
             .where(simulations.c.study_id == identifier, simulations.c.study_number > after)
             .order_by(simulations.c.study_number)
             .limit(limit)
@@ -187,7 +182,7 @@ class Studies:
         if state is not None:
             query = query.where(simulations.c.state == state)
         with reading(self.engine) as connection:
-            return [Simulation(**row) for row in connection.execute(query).mappings()]
+            return rows_of(connection.execute(query), Simulation)
 
     def has_files(self, identifier: str, now: float) -> bool:
         """Whether there is a case that succeeded and whose files have not expired by then."""

@@ -10,17 +10,16 @@ import base64
 import json
 import random
 import secrets
-import time
 import uuid
 from collections.abc import Callable, Collection, Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from datetime import UTC, datetime
-from typing import Any, TypeVar
+from typing import Any
 
 import sqlalchemy as sa
 
 from worker.contract import MessageState, WebhookEvent
-from worker.records.database import metadata, reading
+from worker.records.database import Repository, columns_of, metadata, newest, reading, rows_of
 from worker.records.rows import NotFoundError, StateError
 
 Json = dict[str, Any]
@@ -127,9 +126,6 @@ class Attempt:
     answer: str
 
 
-Row = TypeVar("Row", Webhook, Message, Attempt)
-
-
 def announce(connection: sa.Connection, at: float, event: WebhookEvent, *data: Callable[[], Json]) -> None:
     """Records messages for every webhook that wants to be told of ``event``; part of the caller's transaction.
 
@@ -169,15 +165,8 @@ def _record(connection: sa.Connection, receivers: dict[str, str], at: float, eve
     connection.execute(messages.insert(), rows)
 
 
-class Webhooks:
-    """Repository of webhooks, their messages and the attempts to send them.
-
-    clock: seconds since 1970.
-    """
-
-    def __init__(self, engine: sa.Engine, clock: Callable[[], float] = time.time) -> None:
-        self.engine = engine
-        self.clock = clock
+class Webhooks(Repository):
+    """Repository of webhooks, their messages and the attempts to send them."""
 
     # What clients ask for
 
@@ -203,8 +192,8 @@ class Webhooks:
     def all(self) -> list[Webhook]:
         """Every webhook, oldest first."""
         with reading(self.engine) as connection:
-            query = sa.select(*_columns(webhooks, Webhook)).order_by(webhooks.c.created, webhooks.c.id)
-            return _rows(connection.execute(query), Webhook)
+            query = sa.select(*columns_of(webhooks, Webhook)).order_by(webhooks.c.created, webhooks.c.id)
+            return rows_of(connection.execute(query), Webhook)
 
     def get(self, identifier: str) -> Webhook:
         """raises: NotFoundError"""
@@ -244,20 +233,17 @@ class Webhooks:
         raises: NotFoundError
         """
         c = messages.c
-        query = sa.select(*_columns(messages, Message)).where(c.webhook_id == identifier)
-        if before is not None:
-            created, last = before
-            query = query.where(sa.or_(c.created < created, sa.and_(c.created == created, c.id < last)))
+        query = sa.select(*columns_of(messages, Message)).where(c.webhook_id == identifier)
         with reading(self.engine) as connection:
             _webhook(connection, identifier)
-            return _rows(connection.execute(query.order_by(c.created.desc(), c.id.desc()).limit(limit)), Message)
+            return rows_of(connection.execute(newest(query, messages, limit, before)), Message)
 
     def message(self, identifier: str, message_id: str) -> tuple[Message, list[Attempt]]:
         """A message and every attempt to send it, oldest first. raises: NotFoundError"""
-        query = sa.select(*_columns(attempts, Attempt)).where(attempts.c.message_id == message_id)
+        query = sa.select(*columns_of(attempts, Attempt)).where(attempts.c.message_id == message_id)
         with reading(self.engine) as connection:
             found = _message(connection, identifier, message_id)
-            return found, _rows(connection.execute(query.order_by(attempts.c.number)), Attempt)
+            return found, rows_of(connection.execute(query.order_by(attempts.c.number)), Attempt)
 
     def replay(self, identifier: str, message_id: str) -> Message:
         """Sends a message again that is done with, with the same identifier and content.
@@ -278,10 +264,10 @@ class Webhooks:
     def due(self, except_to: Collection[str] = (), limit: int = 200) -> list[Message]:
         """What is to be sent now, oldest first, without what goes to these webhooks."""
         c = messages.c
-        query = sa.select(*_columns(messages, Message)).where(c.state == "pending", c.next_attempt <= self.clock())
+        query = sa.select(*columns_of(messages, Message)).where(c.state == "pending", c.next_attempt <= self.clock())
         query = query.where(c.webhook_id.not_in(except_to))
         with reading(self.engine) as connection:
-            return _rows(connection.execute(query.order_by(c.next_attempt, c.created).limit(limit)), Message)
+            return rows_of(connection.execute(query.order_by(c.next_attempt, c.created).limit(limit)), Message)
 
     def claim(self, message: Message) -> tuple[str, str] | None:
         """Takes one attempt of a message that is due: (url, secret), or None where another sender was faster."""
@@ -358,17 +344,9 @@ class Webhooks:
             connection.execute(messages.delete().where(old))
 
 
-def _columns(table: sa.Table, kind: type[Any]) -> list[sa.Column[Any]]:
-    return [table.c[f.name] for f in fields(kind)]
-
-
-def _rows(found: sa.Result[Any], kind: type[Row]) -> list[Row]:
-    return [kind(**row) for row in found.mappings()]
-
-
 def _webhook(connection: sa.Connection, identifier: str) -> Webhook:
-    query = sa.select(*_columns(webhooks, Webhook)).where(webhooks.c.id == identifier)
-    found = _rows(connection.execute(query), Webhook)
+    query = sa.select(*columns_of(webhooks, Webhook)).where(webhooks.c.id == identifier)
+    found = rows_of(connection.execute(query), Webhook)
     if not found:
         raise NotFoundError(identifier, "webhook")
     return found[0]
@@ -376,7 +354,7 @@ def _webhook(connection: sa.Connection, identifier: str) -> Webhook:
 
 def _message(connection: sa.Connection, webhook_id: str, identifier: str) -> Message:
     mine = (messages.c.id == identifier, messages.c.webhook_id == webhook_id)
-    found = _rows(connection.execute(sa.select(*_columns(messages, Message)).where(*mine)), Message)
+    found = rows_of(connection.execute(sa.select(*columns_of(messages, Message)).where(*mine)), Message)
     if not found:
         raise NotFoundError(identifier, "message")
     return found[0]
