@@ -52,7 +52,7 @@ format: install-dev
 
 # What of the production set has no time to wait for make validate: rows, keys, stages and files of whole studies.
 PRODUCTION_IN_SHORT := $(addprefix tests/,api/test_api_studies.py api/test_api_idempotency.py api/test_api_retention.py \
-	worker/test_supervisor.py)
+	worker/compute/test_supervisor.py)
 
 # Files of tests share the cores: many wait for services most of their time.
 PYTEST := $(BIN)/python -m pytest -n auto --maxprocesses 4 --dist loadfile
@@ -78,7 +78,7 @@ soak: install-dev
 validate: install-dev test-production
 	cd tests/viewer && npm ci --ignore-scripts --no-audit --no-fund
 	$(BIN)/python -m pytest -m sweep tests/api/dicomweb
-	$(BIN)/python -m pytest -m sweep tests/simcore/dicom tests/test_deploy.py tests/worker/test_shared_stages.py
+	$(BIN)/python -m pytest -m sweep tests/simcore/dicom tests/test_deploy.py tests/worker/compute/test_shared_stages.py
 	$(BIN)/python -m bench.verification
 	$(BIN)/python -m bench.figure4
 	$(BIN)/python -m bench.sweep --runs 200

@@ -50,7 +50,7 @@ def real_jobs(database):
 
 
 def fake_pipeline():
-    path = Path(__file__).parent / "fake_pipeline.py"
+    path = Path(__file__).parents[1] / "fake_pipeline.py"
     spec = importlib.util.spec_from_file_location("fake_pipeline_of_garbage", path)
     module = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(module)
