@@ -7,7 +7,6 @@ from typing import Annotated, Literal, Self
 
 import numpy as np
 from pydantic import Field, JsonValue, model_validator
-from scipy.special import ndtr, ndtri
 
 from simcore.core.spec_base import Spec
 
@@ -71,6 +70,8 @@ class Normal(Interval):
             value = float(random.normal(self.mean, self.standard_deviation))
             if self.low <= value <= self.high:
                 return value
+        from scipy.special import ndtr, ndtri  # seldom needed, and the service that reads studies stays light
+
         low, high = (float(ndtr((bound - self.mean) / self.standard_deviation)) for bound in (self.low, self.high))
         value = self.mean + self.standard_deviation * float(ndtri(random.uniform(low, high)))
         return min(max(value, self.low), self.high)
