@@ -38,12 +38,12 @@ from simcore.core.grid import Grid
 from simcore.projection.integrals import line_integrals
 from simcore.projection.signal import pixel_values
 from simcore.reconstruction import FilteredBackprojection, reconstruct
-from simcore.reconstruction.algebraic import algebraic_correction
-from simcore.reconstruction.backprojection import backproject_quantised, plan_backprojection
 from simcore.reconstruction.body import Body
 from simcore.reconstruction.extent import volume_grid
-from simcore.reconstruction.iterative import Measurement, subsets_of
-from simcore.reconstruction.operators import backproject, crossings_of, project_slices
+from simcore.reconstruction.methods.algebraic import algebraic_correction
+from simcore.reconstruction.methods.iterative import Measurement, subsets_of
+from simcore.reconstruction.operators.backprojection import backproject_quantised, plan_backprojection
+from simcore.reconstruction.operators.crossings import backproject, crossings_of, project_slices
 
 FloatArray = NDArray[np.float32]
 RELAXATION = 0.3

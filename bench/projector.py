@@ -29,7 +29,7 @@ from bench._timing import Timing, in_turns, machine_load
 from simcore.core.geometry import AcquisitionGeometry
 from simcore.projection.borders import borders_of
 from simcore.projection.integrals import line_integrals
-from simcore.reconstruction.operators import project_slices
+from simcore.reconstruction.operators.crossings import project_slices
 
 FloatArray = NDArray[np.float32]
 RAYS = 600

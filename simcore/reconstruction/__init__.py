@@ -5,6 +5,7 @@ from __future__ import annotations
 from simcore.core.artifacts import ProjectionStack, Volume
 from simcore.core.progress import Progress, silent
 from simcore.reconstruction.body import Body
+from simcore.reconstruction.methods import method_of
 from simcore.reconstruction.spec import FilteredBackprojection, ReconstructionSpec
 
 __all__ = ["FilteredBackprojection", "ReconstructionSpec", "reconstruct"]
@@ -27,4 +28,4 @@ def reconstruct(
     returns: Volume in the detector frame, uint16 (nz, ny, nx); attenuation [1/mm] = slope * data + intercept.
     raises: GeometryError where the views do not span an angle, the slices reach the source, or a region holds no voxel.
     """
-    return spec.reconstruct(stack, Body(thickness_mm, *beyond_mm), progress)
+    return method_of(spec)(stack, spec, Body(thickness_mm, *beyond_mm), progress)

@@ -12,6 +12,7 @@ from simcore.fem.laws import MaterialSpec
 from simcore.mesh.spec import MeshSpec
 from simcore.phantom.lesions import LesionSpec
 from simcore.phantom.spec import PhantomSpec
+from simcore.reconstruction.methods import method_of
 from simcore.reconstruction.spec import ReconstructionSpec
 
 FAMILIES = {
@@ -57,3 +58,8 @@ def test_every_variant_is_in_its_union_and_has_an_example(package: str):
         assert cls.model_validate_json(example.model_dump_json()) == example
     kinds = [cls.model_fields["kind"].default for cls in union]
     assert len(set(kinds)) == len(kinds)
+
+
+def test_every_reconstruction_has_a_method():
+    for cls in members(ReconstructionSpec):
+        assert callable(method_of(cls.example()))

@@ -6,9 +6,6 @@ from typing import ClassVar, Literal
 
 from pydantic import Field
 
-from simcore.core.artifacts import ProjectionStack, Volume
-from simcore.core.progress import Progress
-from simcore.reconstruction.body import Body
 from simcore.reconstruction.kinds.common import VolumeSpec
 
 
@@ -30,8 +27,3 @@ class Backprojection(VolumeSpec):
     @classmethod
     def example(cls) -> Backprojection:
         return cls(method="shift-and-add")
-
-    def reconstruct(self, stack: ProjectionStack, body: Body, progress: Progress) -> Volume:
-        from simcore.reconstruction.unfiltered import unfiltered_backprojection
-
-        return unfiltered_backprojection(stack, self, body, progress)

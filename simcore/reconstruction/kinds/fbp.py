@@ -6,10 +6,7 @@ from typing import ClassVar, Literal
 
 from pydantic import Field
 
-from simcore.core.artifacts import ProjectionStack, Volume
-from simcore.core.progress import Progress
 from simcore.core.spec_base import quantity
-from simcore.reconstruction.body import Body
 from simcore.reconstruction.kinds.common import VolumeSpec
 
 
@@ -64,8 +61,3 @@ class FilteredBackprojection(VolumeSpec):
     @classmethod
     def example(cls) -> FilteredBackprojection:
         return cls(filter="hamming", field="breast")
-
-    def reconstruct(self, stack: ProjectionStack, body: Body, progress: Progress) -> Volume:
-        from simcore.reconstruction.fbp import filtered_backprojection
-
-        return filtered_backprojection(stack, self, body, progress)

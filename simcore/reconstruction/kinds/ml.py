@@ -6,10 +6,7 @@ from typing import ClassVar, Literal
 
 from pydantic import Field
 
-from simcore.core.artifacts import ProjectionStack, Volume
-from simcore.core.progress import Progress
 from simcore.core.spec_base import quantity
-from simcore.reconstruction.body import Body
 from simcore.reconstruction.kinds.common import IterativeSpec
 
 
@@ -30,8 +27,3 @@ class MaximumLikelihood(IterativeSpec):
     @classmethod
     def example(cls) -> MaximumLikelihood:
         return cls(iterations=5, views_per_subset=3, start="backprojection")
-
-    def reconstruct(self, stack: ProjectionStack, body: Body, progress: Progress) -> Volume:
-        from simcore.reconstruction.likelihood import maximum_likelihood
-
-        return maximum_likelihood(stack, self, body, progress)

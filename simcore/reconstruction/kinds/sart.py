@@ -6,10 +6,7 @@ from typing import ClassVar, Literal
 
 from pydantic import Field
 
-from simcore.core.artifacts import ProjectionStack, Volume
-from simcore.core.progress import Progress
 from simcore.core.spec_base import quantity
-from simcore.reconstruction.body import Body
 from simcore.reconstruction.kinds.common import IterativeSpec
 
 
@@ -28,8 +25,3 @@ class Sart(IterativeSpec):
     @classmethod
     def example(cls) -> Sart:
         return cls(iterations=2, pixel_mm=0.2, total_variation=1e-4)
-
-    def reconstruct(self, stack: ProjectionStack, body: Body, progress: Progress) -> Volume:
-        from simcore.reconstruction.algebraic import algebraic_reconstruction
-
-        return algebraic_reconstruction(stack, self, self.views_per_subset, body, progress)

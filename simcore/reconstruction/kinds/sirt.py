@@ -6,9 +6,6 @@ from typing import ClassVar, Literal
 
 from pydantic import Field
 
-from simcore.core.artifacts import ProjectionStack, Volume
-from simcore.core.progress import Progress
-from simcore.reconstruction.body import Body
 from simcore.reconstruction.kinds.common import IterativeSpec
 
 
@@ -25,8 +22,3 @@ class Sirt(IterativeSpec):
     @classmethod
     def example(cls) -> Sirt:
         return cls(iterations=10, start="backprojection", tolerance=0.01)
-
-    def reconstruct(self, stack: ProjectionStack, body: Body, progress: Progress) -> Volume:
-        from simcore.reconstruction.algebraic import algebraic_reconstruction
-
-        return algebraic_reconstruction(stack, self, stack.geometry.views, body, progress)

@@ -25,7 +25,7 @@ from simcore.reconstruction import reconstruct
 from simcore.reconstruction.body import Body
 from simcore.reconstruction.extent import volume_grid
 from simcore.reconstruction.grids import breast_grid
-from simcore.reconstruction.operators import backproject, project_slices
+from simcore.reconstruction.operators.crossings import backproject, project_slices
 from simcore.reconstruction.spec import Backprojection, FilteredBackprojection, Sart
 from simcore.spec import SimulationSpec
 

@@ -9,11 +9,11 @@ from scipy.ndimage import binary_erosion
 from simcore.core.artifacts import ProjectionStack
 from simcore.core.grid import Grid
 from simcore.reconstruction import FilteredBackprojection
-from simcore.reconstruction.backprojection import backproject_quantised, plan_backprojection
-from simcore.reconstruction.fbp import filtered_views
-from simcore.reconstruction.filters import angular_steps, frequency_response
-from simcore.reconstruction.line_integrals import attenuation_table, lit_columns
-from simcore.reconstruction.line_integrals import line_integrals as carried_integrals
+from simcore.reconstruction.filter.filters import angular_steps, frequency_response
+from simcore.reconstruction.filter.line_integrals import attenuation_table, lit_columns
+from simcore.reconstruction.filter.line_integrals import line_integrals as carried_integrals
+from simcore.reconstruction.methods.fbp import filtered_views
+from simcore.reconstruction.operators.backprojection import backproject_quantised, plan_backprojection
 
 SLOPE, INTERCEPT = 1e-3, -30.0
 

@@ -10,9 +10,9 @@ from simcore.core.artifacts import ProjectionStack
 from simcore.core.errors import GeometryError
 from simcore.core.geometry import AcquisitionGeometry
 from simcore.reconstruction import FilteredBackprojection, reconstruct
-from simcore.reconstruction.edges import thickness_profile
-from simcore.reconstruction.filters import filter_columns, frequency_response, padded_length
-from simcore.reconstruction.line_integrals import line_integrals as measured_integrals
+from simcore.reconstruction.filter.edges import thickness_profile
+from simcore.reconstruction.filter.filters import filter_columns, frequency_response, padded_length
+from simcore.reconstruction.filter.line_integrals import line_integrals as measured_integrals
 from simcore.reconstruction.spec import Backprojection, RegionSpec
 
 FINE = FilteredBackprojection(value_slope=1e-6, value_intercept=-0.03)

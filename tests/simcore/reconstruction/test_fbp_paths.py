@@ -9,7 +9,7 @@ import pytest
 
 from simcore.core.errors import GeometryError
 from simcore.reconstruction import reconstruct
-from simcore.reconstruction.filters import ray_weights
+from simcore.reconstruction.filter.filters import ray_weights
 
 from .test_fbp import FINE, at, value_at_centre
 

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 import scipy.fft
 
-from simcore.reconstruction.filters import padded_length
-from simcore.reconstruction.fourier import VALUES_IN_CACHE, convolve_columns, passes_of
+from simcore.reconstruction.filter.filters import padded_length
+from simcore.reconstruction.filter.fourier import VALUES_IN_CACHE, convolve_columns, passes_of
 
 
 def exact(columns, response, length):

@@ -9,15 +9,15 @@ from simcore.core.artifacts import ProjectionStack
 from simcore.core.errors import Cancelled, GeometryError
 from simcore.core.grid import Grid
 from simcore.reconstruction import FilteredBackprojection, reconstruct
-from simcore.reconstruction.algebraic import algebraic_correction
 from simcore.reconstruction.body import Body
 from simcore.reconstruction.extent import volume_grid
 from simcore.reconstruction.grids import breast_grid
-from simcore.reconstruction.iterative import Measurement, measure, subsets_of
-from simcore.reconstruction.operators import backproject, crossings_of, project_slices
+from simcore.reconstruction.methods.algebraic import algebraic_correction
+from simcore.reconstruction.methods.iterative import Measurement, measure, subsets_of
+from simcore.reconstruction.methods.subsets import subset_sums, view_sums
+from simcore.reconstruction.operators.crossings import backproject, crossings_of, project_slices
+from simcore.reconstruction.operators.total_variation import denoise_slices
 from simcore.reconstruction.spec import Backprojection, MaximumLikelihood, RegionSpec, Sart, Sirt
-from simcore.reconstruction.subsets import subset_sums, view_sums
-from simcore.reconstruction.total_variation import denoise_slices
 
 BREAST = ((0.0, 2.0, 30.0), (24.0, 18.0, 9.0), 0.02)
 BEAD = ((8.0, -4.0, 34.0), (2.0, 2.0, 2.0), 0.05)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from simcore.reconstruction.lanes import LANES, ROWS, add_resampled_rows, padded_width, padding
+from simcore.reconstruction.operators.lanes import LANES, ROWS, add_resampled_rows, padded_width, padding
 
 
 def by_definition(rows, offset, step, reach, count):

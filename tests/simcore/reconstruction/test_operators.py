@@ -8,7 +8,7 @@ import pytest
 from simcore.core.errors import GeometryError
 from simcore.core.geometry import AcquisitionGeometry
 from simcore.core.grid import Grid
-from simcore.reconstruction.operators import backproject, project_slices
+from simcore.reconstruction.operators.crossings import backproject, project_slices
 
 GRIDS = {
     "inside": Grid((6, 40, 30), (0.5, 0.5, 2.0), (0.0, -10.0, 20.0)),

@@ -17,18 +17,19 @@ from simcore.core.artifacts import ProjectionStack, Volume
 from simcore.core.geometry import AcquisitionGeometry, Detector
 from simcore.core.grid import Grid
 from simcore.core.progress import Progress, part, silent
-from simcore.reconstruction.backprojection import quantise_slices
 from simcore.reconstruction.body import Body
 from simcore.reconstruction.extent import volume_grid
-from simcore.reconstruction.fbp import check
+from simcore.reconstruction.filter.line_integrals import line_integrals, measured_pixels
 from simcore.reconstruction.grids import breast_grid, wanted_grid
 from simcore.reconstruction.kinds.backprojection import Backprojection
 from simcore.reconstruction.kinds.common import IterativeSpec
 from simcore.reconstruction.kinds.fbp import FilteredBackprojection
-from simcore.reconstruction.line_integrals import line_integrals, measured_pixels
-from simcore.reconstruction.operators import Crossings, crossings_of
-from simcore.reconstruction.total_variation import denoise_slices
-from simcore.reconstruction.volumes import volume_report
+from simcore.reconstruction.methods import method_of
+from simcore.reconstruction.methods.fbp import check
+from simcore.reconstruction.methods.volumes import volume_report
+from simcore.reconstruction.operators.backprojection import quantise_slices
+from simcore.reconstruction.operators.crossings import Crossings, crossings_of
+from simcore.reconstruction.operators.total_variation import denoise_slices
 
 FloatArray = NDArray[np.float32]
 COLUMNS = 64
@@ -143,7 +144,7 @@ def _start(stack: ProjectionStack, spec: IterativeSpec, body: Body, grid: Grid, 
         return np.zeros(grid.shape, np.float32)
     kind = Backprojection if spec.start == "backprojection" else FilteredBackprojection
     first = kind(slice_mm=spec.slice_mm, pixel_mm=spec.pixel_mm, field="breast")
-    volume = first.reconstruct(stack, body, progress)
+    volume = method_of(first)(stack, first, body, progress)
     start = volume.data.astype(np.float32)
     start *= np.float32(volume.slope)
     start += np.float32(volume.intercept)

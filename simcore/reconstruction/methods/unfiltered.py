@@ -11,15 +11,15 @@ from simcore.core.artifacts import ProjectionStack, Volume
 from simcore.core.geometry import AcquisitionGeometry
 from simcore.core.grid import Grid
 from simcore.core.progress import Progress, part, silent
-from simcore.reconstruction.backprojection import BackprojectionPlan, plan_backprojection
 from simcore.reconstruction.body import Body
 from simcore.reconstruction.extent import volume_grid
-from simcore.reconstruction.fbp import check
-from simcore.reconstruction.filters import chord_weights
+from simcore.reconstruction.filter.filters import chord_weights
+from simcore.reconstruction.filter.line_integrals import line_integrals, lit_columns
 from simcore.reconstruction.grids import wanted_grid
 from simcore.reconstruction.kinds.backprojection import Backprojection
-from simcore.reconstruction.line_integrals import line_integrals, lit_columns
-from simcore.reconstruction.volumes import backprojected_volume, seen_columns
+from simcore.reconstruction.methods.fbp import check
+from simcore.reconstruction.methods.volumes import backprojected_volume, seen_columns
+from simcore.reconstruction.operators.backprojection import BackprojectionPlan, plan_backprojection
 
 FloatArray = NDArray[np.float32]
 

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from simcore.core.artifacts import ProjectionStack, frozen
 from simcore.core.geometry import AcquisitionGeometry
-from simcore.reconstruction.filters import chord_weights
+from simcore.reconstruction.filter.filters import chord_weights
 
 FloatArray = NDArray[np.float32]
 

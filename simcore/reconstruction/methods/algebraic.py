@@ -12,11 +12,11 @@ from numpy.typing import NDArray
 from simcore.core.artifacts import ProjectionStack, Volume
 from simcore.core.progress import Progress, silent
 from simcore.reconstruction.body import Body
-from simcore.reconstruction.corrections import algebraic_residuals, correct_by_sums
-from simcore.reconstruction.iterative import Correction, Measurement, iterate
 from simcore.reconstruction.kinds.sart import Sart
 from simcore.reconstruction.kinds.sirt import Sirt
-from simcore.reconstruction.subsets import subset_sums, view_sums
+from simcore.reconstruction.methods.iterative import Correction, Measurement, iterate
+from simcore.reconstruction.methods.subsets import subset_sums, view_sums
+from simcore.reconstruction.operators.corrections import algebraic_residuals, correct_by_sums
 
 FloatArray = NDArray[np.float32]
 
@@ -24,7 +24,6 @@ FloatArray = NDArray[np.float32]
 def algebraic_reconstruction(
     stack: ProjectionStack,
     spec: Sart | Sirt,
-    views_per_subset: int,
     body: Body,
     progress: Progress = silent,
 ) -> Volume:
@@ -36,7 +35,7 @@ def algebraic_reconstruction(
         stack,
         spec,
         spec.iterations,
-        views_per_subset,
+        spec.views_per_subset if isinstance(spec, Sart) else stack.geometry.views,
         body,
         lambda measurement: algebraic_correction(measurement, spec.relaxation, spec.non_negative),
         progress,

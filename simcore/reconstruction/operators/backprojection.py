@@ -17,8 +17,8 @@ from numpy.typing import NDArray
 from simcore.core.geometry import AcquisitionGeometry
 from simcore.core.grid import Grid
 from simcore.core.vectors import LANES
-from simcore.reconstruction.interpolation import row_weights
-from simcore.reconstruction.lanes import ROWS, add_resampled_rows, mix_vectors, padded_width, padding
+from simcore.reconstruction.operators.interpolation import row_weights
+from simcore.reconstruction.operators.lanes import ROWS, add_resampled_rows, mix_vectors, padded_width, padding
 
 FloatArray = NDArray[np.float32]
 Coordinates = NDArray[np.float64]

@@ -17,8 +17,8 @@ from numpy.typing import NDArray
 from simcore.core.errors import GeometryError
 from simcore.core.geometry import AcquisitionGeometry
 from simcore.core.grid import Grid
-from simcore.reconstruction.lanes import padded_width, padding
-from simcore.reconstruction.slice_kernels import Gathering, backproject_views, project_view
+from simcore.reconstruction.operators.lanes import padded_width, padding
+from simcore.reconstruction.operators.slice_kernels import Gathering, backproject_views, project_view
 
 FloatArray = NDArray[np.float32]
 Coordinates = NDArray[np.float64]

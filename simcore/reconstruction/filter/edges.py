@@ -18,8 +18,8 @@ from scipy.ndimage import gaussian_filter
 
 from simcore.core.artifacts import ProjectionStack
 from simcore.core.geometry import AcquisitionGeometry
-from simcore.reconstruction.filters import chord_weights
-from simcore.reconstruction.line_integrals import line_integrals
+from simcore.reconstruction.filter.filters import chord_weights
+from simcore.reconstruction.filter.line_integrals import line_integrals
 
 FloatArray = NDArray[np.float32]
 CELL_MM = 2.0

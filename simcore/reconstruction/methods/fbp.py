@@ -15,11 +15,10 @@ from simcore.core.errors import GeometryError
 from simcore.core.geometry import AcquisitionGeometry
 from simcore.core.grid import Grid
 from simcore.core.progress import Progress, part, silent
-from simcore.reconstruction.backprojection import plan_backprojection
 from simcore.reconstruction.body import Body
-from simcore.reconstruction.edges import Profile, thickness_profile
 from simcore.reconstruction.extent import volume_grid
-from simcore.reconstruction.filters import (
+from simcore.reconstruction.filter.edges import Profile, thickness_profile
+from simcore.reconstruction.filter.filters import (
     angular_steps,
     chord_weights,
     filter_columns,
@@ -27,11 +26,12 @@ from simcore.reconstruction.filters import (
     padded_length,
     ray_weights,
 )
+from simcore.reconstruction.filter.line_integrals import line_integrals, lit_columns
 from simcore.reconstruction.grids import wanted_grid
 from simcore.reconstruction.kinds.fbp import FilteredBackprojection
-from simcore.reconstruction.lanes import padded_width
-from simcore.reconstruction.line_integrals import line_integrals, lit_columns
-from simcore.reconstruction.volumes import backprojected_volume, seen_columns
+from simcore.reconstruction.methods.volumes import backprojected_volume, seen_columns
+from simcore.reconstruction.operators.backprojection import plan_backprojection
+from simcore.reconstruction.operators.lanes import padded_width
 
 FloatArray = NDArray[np.float32]
 COLUMNS = 64

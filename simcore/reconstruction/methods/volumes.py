@@ -10,9 +10,9 @@ from numpy.typing import NDArray
 from simcore.core.artifacts import Report, Volume
 from simcore.core.grid import Grid
 from simcore.core.progress import Progress
-from simcore.reconstruction.backprojection import BackprojectionPlan, backproject_quantised
 from simcore.reconstruction.kinds.common import VolumeSpec
-from simcore.reconstruction.lanes import ROWS
+from simcore.reconstruction.operators.backprojection import BackprojectionPlan, backproject_quantised
+from simcore.reconstruction.operators.lanes import ROWS
 
 FloatArray = NDArray[np.float32]
 PARTS = 16

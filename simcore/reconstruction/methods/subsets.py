@@ -7,9 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from simcore.reconstruction.corrections import Lengths, ray_sums, voxel_sums
-from simcore.reconstruction.operators import Crossings
-from simcore.reconstruction.slice_kernels import Gathering
+from simcore.reconstruction.operators.corrections import Lengths, ray_sums, voxel_sums
+from simcore.reconstruction.operators.crossings import Crossings
+from simcore.reconstruction.operators.slice_kernels import Gathering
 
 FloatArray = NDArray[np.float32]
 

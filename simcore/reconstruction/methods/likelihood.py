@@ -19,10 +19,10 @@ from numpy.typing import NDArray
 from simcore.core.artifacts import ProjectionStack, Volume
 from simcore.core.progress import Progress, silent
 from simcore.reconstruction.body import Body
-from simcore.reconstruction.corrections import correct_by_curvature, likelihood_terms
-from simcore.reconstruction.iterative import Correction, Measurement, iterate
 from simcore.reconstruction.kinds.ml import MaximumLikelihood
-from simcore.reconstruction.subsets import view_sums
+from simcore.reconstruction.methods.iterative import Correction, Measurement, iterate
+from simcore.reconstruction.methods.subsets import view_sums
+from simcore.reconstruction.operators.corrections import correct_by_curvature, likelihood_terms
 
 FloatArray = NDArray[np.float32]
 

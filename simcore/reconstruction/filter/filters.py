@@ -41,7 +41,7 @@ from numpy.typing import NDArray
 
 from simcore.core.errors import GeometryError
 from simcore.core.geometry import AcquisitionGeometry
-from simcore.reconstruction.fourier import convolve_columns
+from simcore.reconstruction.filter.fourier import convolve_columns
 from simcore.reconstruction.kinds.fbp import FilteredBackprojection
 
 FloatArray = NDArray[np.float32]

@@ -11,8 +11,8 @@ import numpy as np
 from numba import njit, prange
 from numpy.typing import NDArray
 
-from simcore.reconstruction.interpolation import add_two_rows, row_weights
-from simcore.reconstruction.lanes import ROWS, add_resampled_rows
+from simcore.reconstruction.operators.interpolation import add_two_rows, row_weights
+from simcore.reconstruction.operators.lanes import ROWS, add_resampled_rows
 
 FloatArray = NDArray[np.float32]
 Coordinates = NDArray[np.float64]

@@ -10,8 +10,8 @@ import numpy as np
 from numba import njit, prange
 from numpy.typing import NDArray
 
-from simcore.reconstruction.lanes import ROWS
-from simcore.reconstruction.slice_kernels import Gathering, gather_rows
+from simcore.reconstruction.operators.lanes import ROWS
+from simcore.reconstruction.operators.slice_kernels import Gathering, gather_rows
 
 FloatArray = NDArray[np.float32]
 

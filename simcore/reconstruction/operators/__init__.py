@@ -1,0 +1,1 @@
+"""Projection and back-projection of slices, and what iterative methods do between them. Numba kernels."""
