@@ -24,6 +24,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bench._bodies import C_CUP, Floats, SemiAxes, ellipsoid_labels, scaled_to
+from simcore import warp
 from simcore.core.artifacts import Compression, Phantom, TetMesh
 from simcore.core.errors import SimulationError
 from simcore.core.tissues import Tissue
@@ -91,7 +92,7 @@ def main() -> int:
         ratios.append(getattr(spec.material, "poissons_ratio", float("nan")))
         try:
             result = compress(chosen.mesh, chosen.phantom, spec)
-            problems = faults(chosen.mesh, spec, result)
+            problems = faults(chosen.mesh, spec, result) + missing(chosen, result)
             if run % RECHECKED == 0:
                 problems += disagreement(chosen, spec, result)
         except SimulationError as failure:
@@ -215,6 +216,15 @@ def faults(mesh: TetMesh, spec: CompressionSpec, result: Compression) -> list[st
     if not -most < change < 1e-2:
         found.append(f"volume changed by {change:.4f}, at most {most:.4f} expected")
     return found
+
+
+def missing(chosen: Subject, result: Compression) -> list[str]:
+    """What the compressed phantom has lost of its tissue."""
+    try:
+        warp.deform(chosen.phantom, chosen.mesh, result, warp.WarpSpec())
+    except SimulationError as failure:
+        return [f"{failure.code}: {failure}"]
+    return []
 
 
 def wall_drift(mesh: TetMesh, result: Compression) -> float:

@@ -44,7 +44,7 @@ def compress_mesh(mesh: TetMesh, phantom: Phantom, spec: CompressionSpec, progre
     solution = follow(solver, contact, target, load_steps, part(progress, 0.05, 0.98), press_of(spec, edge))
     plates = solution.state.plates
     assert plates is not None  # no state but that of rest is without
-    verify(solver, solution, plates)
+    verify(solver, solution, plates, spec)
     facts = report(mesh, solver, solution, plates)
     progress(1.0, f"compressed to {facts['thickness_mm']:.1f} mm")
     return Compression(

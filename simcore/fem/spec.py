@@ -11,6 +11,7 @@ from simcore.fem.laws import MaterialSpec
 from simcore.fem.laws.neo_hookean import NeoHookean
 
 MOST_PERCENT = 75.0
+MOST_LOAD_STEPS = 100
 _N_PER_KPA_MM2 = 1e-3
 _STANDARD_GRAVITY = 9.80665
 _DIRECTIONS = {"-x": (-1, 0, 0), "+x": (1, 0, 0), "-y": (0, -1, 0), "+y": (0, 1, 0), "-z": (0, 0, -1), "+z": (0, 0, 1)}
@@ -125,7 +126,7 @@ class CompressionSpec(Spec):
         le=200.0,
     )
     load_steps: int = Field(
-        1, ge=1, le=100, description="load steps to begin with; halved by itself where one fails [1]"
+        1, ge=1, le=MOST_LOAD_STEPS, description="load steps to begin with; halved by itself where one fails [1]"
     )
     tolerance: float = quantity(
         "residual force relative to the plate force at which a load step has converged",

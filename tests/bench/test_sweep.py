@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from bench._bodies import C_CUP, ONE_TISSUE, ellipsoid_labels, scaled_to
-from bench.sweep import VOXEL_MM, Subject, disagreement, draw, faults, stands_where_wider, with_gland
+from bench.sweep import VOXEL_MM, Subject, disagreement, draw, faults, missing, stands_where_wider, with_gland
 from simcore.core.artifacts import Compression, TetMesh
 from simcore.core.tissues import Tissue
 from simcore.fem import CompressionSpec, compress
@@ -57,6 +57,14 @@ def test_an_inverted_element(mesh: TetMesh, result: Compression) -> None:
 def test_lost_volume(mesh: TetMesh, result: Compression) -> None:
     squeezed = replace(result, displacement=result.displacement - 0.1 * (mesh.nodes + result.displacement))
     assert any("volume changed" in fault for fault in faults(mesh, SPEC, squeezed))
+
+
+def test_missing_tissue(mesh: TetMesh, result: Compression) -> None:
+    labels = ellipsoid_labels(C_CUP, 2.0)
+    assert missing(Subject("whole", mesh, labels), result) == []
+    high = mesh.nodes[mesh.tets][:, :, 2].mean(axis=1) > 30.0
+    part = replace(mesh, tets=mesh.tets[~high], skin=np.empty((0, 3), np.int64))
+    assert "tissue-lost" in missing(Subject("cut", part, labels), result)[0]
 
 
 def test_another_equilibrium(mesh: TetMesh, result: Compression) -> None:

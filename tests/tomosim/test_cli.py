@@ -11,6 +11,7 @@ import pytest
 
 from simcore import presets
 from simcore.spec import SimulationSpec
+from tomosim.cli import _summary
 
 
 def tomosim(*arguments: str, stdin: str = "", **kwargs) -> subprocess.CompletedProcess[str]:
@@ -134,3 +135,14 @@ def test_a_wrong_option_of_phantom_add_is_named(wrong: list[str], tmp_path: Path
     assert done.returncode == 2
     assert "Traceback" not in done.stderr
     assert wrong[0].strip("-") in done.stderr or wrong[1] in done.stderr
+
+
+def test_the_summary_of_a_run_shows_what_became_of_the_volume(capsys: pytest.CaptureFixture[str]) -> None:
+    results = {"thickness_mm": 30.0, "volume_ml": 60.0, "glandularity": 0.3, "force_N": 50.0}
+    manifest = {"results": results, "computed_stages": 9, "stages": [{}] * 9, "seconds": 1.0}
+    _summary(manifest, Path("out"))
+    assert "volume 60.0 ml, glandularity 30.0 %" in capsys.readouterr().out
+    results["volume_after_ml"] = 59.2
+    results["lesion_objects"] = {"calcification": {"before": 9, "after": 8, "placed": 3, "merged": 1, "lost": 0}}
+    _summary(manifest, Path("out"))
+    assert "volume 60.0 ml (59.2 ml compressed, 1 small lesions merged), glandularity" in capsys.readouterr().out

@@ -12,7 +12,7 @@ from simcore.core.errors import SolverError
 from simcore.fem.laws.by_tissue import ByTissue
 from simcore.fem.laws.law import Law
 from simcore.fem.laws.published import Published
-from simcore.fem.spec import MOST_PERCENT, CompressionSpec
+from simcore.fem.spec import MOST_LOAD_STEPS, MOST_PERCENT, CompressionSpec
 
 NEAR_INCOMPRESSIBLE = 10.0
 """Bulk over shear modulus above which a smaller Poisson's ratio (0.45 gives 9.7) makes a compression easier."""
@@ -100,6 +100,11 @@ REMEDIES: dict[str, tuple[Remedy, ...]] = {
 def message(code: str, spec: CompressionSpec, **facts: float) -> str:
     """What happened and what to change in ``spec``."""
     return f"{FAULTS[code].format(**facts)}; take {one_of(*(remedy(spec) for remedy in REMEDIES[code]))}"
+
+
+def remedy_of_unverified(spec: CompressionSpec) -> str:
+    """What to change where the last look at a solution does not confirm it."""
+    return one_of(where(spec.load_steps < MOST_LOAD_STEPS, "more load_steps"), _finer_mesh(spec), _less(spec))
 
 
 def laws(spec: CompressionSpec) -> list[Law]:

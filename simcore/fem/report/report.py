@@ -9,24 +9,29 @@ from simcore.core.artifacts import Report, TetMesh
 from simcore.core.errors import SolverError
 from simcore.fem.elements.geometry import volume_ratios
 from simcore.fem.elements.model import Floats
+from simcore.fem.newton.outcome import remedy_of_unverified
 from simcore.fem.newton.path import Solution
 from simcore.fem.newton.solver import GAP_MM, Solver
 from simcore.fem.plates.constraints import Constraints
 from simcore.fem.plates.contact import LOWER, MAX_PULL, UPPER, Plates
 from simcore.fem.plates.friction import STICK_MM
 from simcore.fem.report.summary import shape_summary, strain_summary
+from simcore.fem.spec import CompressionSpec
 
 _BALANCE = 1e-3
 _DRIFT_MM = 1e-6
 """Movement along y of a chest wall that may neither drift nor roll: rounding."""
 
 
-def verify(solver: Solver, solution: Solution, plates: Plates) -> None:
+def verify(solver: Solver, solution: Solution, plates: Plates, spec: CompressionSpec | None = None) -> None:
     """Looks at the final state afresh: residual, penetration, sign and balance of the plate forces, volumes.
+
+    spec: what was asked for; a failure does not advise what it has already.
 
     raises: SolverError, code "not-converged" or "inverted-element"
     """
     model, state = solver.model, solution.state
+    remedy = remedy_of_unverified(spec or CompressionSpec())
     carried = model.internal_force(state.displacement, state.pressure)
     force = solver.with_friction(state, carried)
     constraints = Constraints.of(solver.fixed, state.contact, plates)
@@ -53,13 +58,11 @@ def verify(solver: Solver, solution: Solution, plates: Plates) -> None:
     ]
     smallest = float(volume_ratios(state.displacement, model.tets, model.gradients).min())
     if not (smallest > 0 and np.isfinite(state.displacement).all()):
-        raise SolverError(
-            f"the smallest det F is {smallest:.3g}: use a smaller percent or a finer mesh", code="inverted-element"
-        )
+        raise SolverError(f"the smallest det F is {smallest:.3g}; take {remedy}", code="inverted-element")
     for name, value, allowed in values:
         if not value <= allowed:
             raise SolverError(
-                f"{name} is {value:.2e} where {allowed:.2e} is allowed: use more load_steps or a finer mesh",
+                f"{name} is {value:.2e} where {allowed:.2e} is allowed; take {remedy}",
                 code="not-converged",
             )
 

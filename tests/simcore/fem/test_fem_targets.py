@@ -21,7 +21,7 @@ from simcore.fem.laws.neo_hookean import NeoHookean
 from simcore.fem.laws.published import Published
 from simcore.fem.laws.veronda_westmann import VerondaWestmann
 from simcore.fem.laws.wellman import Wellman
-from simcore.fem.newton.outcome import FAULTS, REMEDIES, CompressionFailed, message
+from simcore.fem.newton.outcome import FAULTS, REMEDIES, CompressionFailed, message, remedy_of_unverified
 from simcore.fem.plates.contact import Plates
 from simcore.fem.plates.edge import PlateEdge
 from simcore.fem.report.summary import shape_summary
@@ -154,6 +154,12 @@ def test_every_code_says_what_to_change_and_nothing_that_is_so_already(code: str
         assert not (spec.thickness_mm and "smaller percent" in advice)
         assert not (spec.force_N and "smaller percent" in advice)
         assert not (isinstance(spec.material, NeoHookean) and ("law" in advice or "poissons_ratio" in advice))
+
+
+def test_what_is_not_confirmed_is_told_what_is_left_to_do() -> None:
+    text = remedy_of_unverified(CompressionSpec(load_steps=100, thickness_mm=40.0))
+    assert text == "a finer mesh (mesh.edge_length_mm) or a larger thickness_mm"
+    assert remedy_of_unverified(CompressionSpec()).startswith("more load_steps, ")
 
 
 def test_a_wall_that_is_fixed_is_not_advised_to_be() -> None:
