@@ -8,9 +8,12 @@ from typing import Any
 from pydantic import BaseModel
 
 from simcore.core.errors import SpecError
+from simcore.core.tissues import Tissue
+from simcore.fem.laws.by_tissue import ByTissue
 from simcore.fem.spec import CompressionSpec
 from simcore.phantom.lesions import Mass
 from simcore.phantom.upload.spec import UploadedPhantom
+from simcore.phantom.upload.tissue_maps import has_tissue
 from simcore.reconstruction.spec import FilteredBackprojection, IterativeSpec
 from simcore.spec import SimulationSpec
 
@@ -41,6 +44,7 @@ def remarks(spec: SimulationSpec) -> list[str]:
 def _unused(spec: SimulationSpec) -> Iterator[tuple[str, str]]:
     yield from _of_phantom(spec)
     yield from _of_compression(spec.compression, spec.phantom.compressed)
+    yield from _of_material(spec)
     if spec.physics.sampling == "exact":
         yield from _named("physics", spec.physics, ("step_voxels",), "physics.sampling is 'exact'")
     if spec.export.view == "CC":
@@ -69,6 +73,26 @@ def _of_phantom(spec: SimulationSpec) -> Iterator[tuple[str, str]]:
 def _of_compression(c: CompressionSpec, compressed: bool) -> Iterator[tuple[str, str]]:
     if not compressed and c.chest_wall == "free_in_plane":
         yield from _named("compression", c, ("plate_edge_mm",), "compression.chest_wall is 'free_in_plane'")
+
+
+def _of_material(spec: SimulationSpec) -> Iterator[tuple[str, str]]:
+    material = spec.compression.material
+    if isinstance(material, ByTissue) and not spec.phantom.compressed:
+        for tissue in sorted(set(Tissue) - _tissues(spec)):
+            name = tissue.name.lower()
+            if getattr(material, name, None) is not None:
+                yield f"compression.material.{name}", f"the phantom has no {name}"
+
+
+def _tissues(spec: SimulationSpec) -> set[Tissue]:
+    """What the phantom may hold."""
+    phantom = spec.phantom
+    if isinstance(phantom, UploadedPhantom):
+        return {tissue for tissue in Tissue if has_tissue(phantom.tissues, tissue)}
+    held = {Tissue.AIR, Tissue.ADIPOSE, Tissue.GLAND, Tissue.SKIN, Tissue.LIGAMENT}
+    held |= {Tissue.MASS if isinstance(lesion, Mass) else Tissue.CALCIFICATION for lesion in phantom.lesions}
+    held |= {Tissue.NIPPLE} if phantom.nipple is not None else set()
+    return held | ({Tissue.DUCT} if phantom.ducts is not None else set())
 
 
 def _of_reconstruction(spec: SimulationSpec) -> Iterator[tuple[str, str]]:

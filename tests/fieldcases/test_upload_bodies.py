@@ -49,7 +49,7 @@ REFUSED = {
 def files(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("uploads")
     (folder / "files/r19").mkdir(parents=True)
-    for script in ("odd_bodies.py", "two_masses.py"):
+    for script in ("odd_bodies.py", "two_masses.py", "single_voxel_calcifications.py"):
         subprocess.run([sys.executable, SCRIPTS / script], cwd=folder, check=True)
     return folder / "files"
 
@@ -122,3 +122,13 @@ def test_two_masses_and_two_calcifications_have_four_boxes(files: Path, store: S
     for width, height in boxes[:2]:  # of 2 mm
         assert width <= 4
         assert height <= 4
+
+
+def test_each_of_137_calcifications_of_one_voxel_has_a_row(files: Path, store: Store, tmp_path: Path) -> None:
+    upload = registry.add_file(store, files / "calcs.nrrd", reading())
+    assert upload.remarks == ("lesions: 137 single calcifications",)
+    case = run(store, upload)
+    assert case.manifest["results"]["tissue_after_ml"]["calcification"] == pytest.approx(0.137, rel=0.1)
+    case.write(tmp_path)
+    (table,) = tmp_path.rglob("truth.csv")
+    assert len(list(csv.DictReader(table.open()))) == 137

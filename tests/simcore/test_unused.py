@@ -64,6 +64,7 @@ def test_a_force_beyond_its_limit_is_refused() -> None:
 
 
 TINY = presets.get("tiny")
+SOFT = {"kind": "neo_hookean", "youngs_modulus_kPa": 10.0}
 SETTINGS = [
     (TINY, "compression.plate_edge_mm", 30.0, [("compression.chest_wall", "fixed")]),
     (TINY, "physics.step_voxels", 0.3, [("physics.sampling", "trilinear")]),
@@ -84,6 +85,10 @@ SETTINGS = [
     (
         changed(TINY, "phantom.lesions", [{"kind": "mass"}]), "phantom.lesions", [{"kind": "mass", "lobes": 3}],
         [("phantom.lesions", [{"kind": "mass", "lobes": 3, "lobulation": 0.2}])],
+    ),
+    (
+        changed(TINY, "compression.material", {"kind": "by_tissue", "adipose": SOFT, "gland": SOFT}),
+        "compression.material.mass", SOFT, [("phantom.lesions", [{"kind": "mass"}])],
     ),
     (SimulationSpec(phantom=UPLOADED), "seed", 5, []),
     (SimulationSpec(phantom=UPLOADED), "mesh", {"kind": "lattice"}, []),
