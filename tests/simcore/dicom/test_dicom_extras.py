@@ -344,3 +344,9 @@ def test_a_mass_around_its_own_centre_and_one_that_broke_off() -> None:
     ]
     found = voxels_by_name(labels, entries)
     assert found == {"c": 18 * 18 - 12 * 15 + 1, "block": 9}
+
+
+def test_segments_that_no_element_holds(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("simcore.dicom.lesion_segmentation.MAX_BYTES", 1000)
+    with pytest.raises(ExportError, match=r"3 lesions hold \d+ bytes in 7 frames; .* at most 1000: use thicker slices"):
+        make_case(lesions=True).export(tmp_path)
