@@ -46,6 +46,12 @@ class Extents:
         return int(self.voxels.argmax())
 
 
+def _filled(any_of: NDArray[np.bool_] | np.bool_) -> slice:
+    """From the first to the last that is true."""
+    places = np.flatnonzero(any_of)
+    return slice(int(places[0]), int(places[-1]) + 1) if len(places) else slice(0, 0)
+
+
 class Components:
     """Slabs are added in their order. Voxels belong together where they share a face, or with ``corners`` also where
     they share an edge or a corner alone. The same slabs get the same provisional numbers again. centres: whether their
@@ -66,13 +72,19 @@ class Components:
         from scipy.ndimage import label
 
         numbers = np.zeros(mask.shape, np.int32)
-        if mask.any():
+        rows, columns = _filled(np.any(mask, axis=(0, 2))), _filled(np.any(mask, axis=(0, 1)))
+        part = mask[:, rows, columns]
+        if part.size:
             structure = np.ones((3, 3, 3), np.bool_) if self._corners else None
-            count = int(label(mask, structure, output=numbers))
-            self._measure(numbers, count)
+            found = np.zeros(part.shape, np.int32)
+            count = int(label(part, structure, output=found))
+            self._measure(found, count, (self._plane, rows.start, columns.start))
             if self._count:
-                numbers[mask] += self._count
-            self._join(numbers[0])
+                found[part] += self._count
+            numbers[:, rows, columns] = found
+            if self._edge is not None:
+                near = np.s_[max(0, rows.start - 1) : rows.stop + 1, max(0, columns.start - 1) : columns.stop + 1]
+                self._join(self._edge[near], numbers[0][near])
             self._count += count
         self._edge = numbers[-1]
         self._plane += len(mask)
@@ -106,7 +118,7 @@ class Components:
         centre = np.stack([np.bincount(of, sums[:, axis], total) for axis in range(3)], axis=1) / counts[:, None]
         return Extents(np.concatenate([[-1], of]), counts, low, high, centre)
 
-    def _measure(self, numbers: NDArray[np.int32], count: int) -> None:
+    def _measure(self, numbers: NDArray[np.int32], count: int, corner: tuple[int, int, int]) -> None:
         from scipy.ndimage import find_objects
 
         boxes = find_objects(numbers, count)
@@ -121,18 +133,18 @@ class Components:
             places = np.nonzero(numbers)
             owner = numbers[places] - 1
             sums = np.stack([np.bincount(owner, along, count) for along in places], axis=1)
-        lift = np.array([self._plane, 0, 0])
+        lift = np.array(corner)
         self._parts.append((voxels, first + lift, behind + lift, sums + voxels[:, None] * lift))
 
-    def _join(self, plane: NDArray[np.int32]) -> None:
+    def _join(self, edge: NDArray[np.int32], plane: NDArray[np.int32]) -> None:
         """Pairs of numbers that touch across the border of two slabs."""
-        if self._edge is None or not self._edge.any():
+        if not edge.any():
             return
         steps = [(dy, dx) for dy in (-1, 0, 1) for dx in (-1, 0, 1)] if self._corners else [(0, 0)]
         rows, columns = plane.shape
         for dy, dx in steps:
             here = plane[max(dy, 0) : rows + min(dy, 0), max(dx, 0) : columns + min(dx, 0)]
-            there = self._edge[max(-dy, 0) : rows + min(-dy, 0), max(-dx, 0) : columns + min(-dx, 0)]
+            there = edge[max(-dy, 0) : rows + min(-dy, 0), max(-dx, 0) : columns + min(-dx, 0)]
             both = (here > 0) & (there > 0)
             keys = (there[both].astype(np.int64) << 32) | here[both]
             if len(keys):  # long runs of the same pair, mostly

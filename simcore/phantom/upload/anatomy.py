@@ -66,6 +66,8 @@ class Anatomy:
         if self._body_only:
             return
         self.lesions.add(codes)
+        rows, columns = (_around(body.any(axis=others)) for others in ((0, 2), (0, 1)))
+        body, codes = body[:, rows, columns], codes[:, rows, columns]
         beside = np.zeros_like(body)
         for here, there in ((np.s_[:, 1:], np.s_[:, :-1]), (np.s_[:, :, 1:], np.s_[:, :, :-1])):
             beside[here] |= ~body[there]
@@ -73,3 +75,9 @@ class Anatomy:
         beside &= body
         self.surface += int(np.count_nonzero(beside))
         self.covered += int(np.count_nonzero(np.isin(codes[beside], COVER)))
+
+
+def _around(any_of: NDArray[np.bool_]) -> slice:
+    """From one before the first to one behind the last that is true; there is one."""
+    places = np.flatnonzero(any_of)
+    return slice(max(0, int(places[0]) - 1), int(places[-1]) + 2)
