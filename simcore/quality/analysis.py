@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 from typing import Any
 
@@ -49,7 +50,7 @@ def analyse(folder: Path, progress: Progress = silent) -> Report:
 def _projections(case: CaseFiles, volume: VolumeAnalysis, progress: Progress) -> list[Report]:
     geometry = case.geometry
     middle = (volume.grid.corner[2] + volume.grid.upper[2]) / 2
-    region = full_thickness(volume.thickness_slices)
+    region = full_thickness(between_plates(volume.thickness_slices, volume.grid, case.manifest["results"]))
     views = []
     for view in range(geometry.views):
         progress(view / geometry.views, f"view {view + 1} of {geometry.views}")
@@ -68,6 +69,14 @@ def _projections(case: CaseFiles, volume: VolumeAnalysis, progress: Progress) ->
             }
         )
     return views
+
+
+def between_plates(thickness: NDArray[np.int32], grid: Grid, results: Report) -> NDArray[np.int32]:
+    """Thickness in slices of ``grid``, but no more than the plates are apart: beside the rim of a fixed chest wall the
+    breast reaches beyond them."""
+    if "thickness_mm" not in results:
+        return thickness
+    return np.asarray(np.minimum(thickness, math.ceil(results["thickness_mm"] / grid.spacing[2] - 1e-6)), np.int32)
 
 
 def full_thickness(thickness: NDArray[np.int32]) -> NDArray[np.bool_]:

@@ -15,7 +15,7 @@ from simcore.core.grid import Grid
 from simcore.core.tissues import Tissue
 from simcore.dicom import CaseDescription, ExportSpec
 from simcore.quality import literature, values
-from simcore.quality.analysis import full_thickness, shadow
+from simcore.quality.analysis import between_plates, full_thickness, shadow
 from simcore.quality.skin import skin_line, skin_thickness
 from simcore.quality.volume_analysis import VolumeAnalysis, eroded, uniform
 from tomosim.cli import main
@@ -173,6 +173,17 @@ def test_shadow_of_a_point_is_where_the_ray_meets_the_detector():
     assert geometry.detector.x_centres()[columns.max()] == pytest.approx(25 * scale, abs=PIXEL)
     assert geometry.detector.y_centres()[rows.min()] == pytest.approx(200 - (200 - 12) * scale, abs=PIXEL)
     assert geometry.detector.y_centres()[rows.max()] == pytest.approx(200 - (200 - 17) * scale, abs=PIXEL)
+
+
+def test_what_rises_beyond_the_plates_at_a_fixed_wall_is_not_the_whole_thickness():
+    thickness = np.full((80, 80), 26, np.int32)
+    thickness[:, :10] = 54
+    grid = Grid((54, 80, 80), (1.0, 1.0, 1.0), (0.0, -40.0, 10.0))
+    assert (
+        full_thickness(thickness).sum() < full_thickness(between_plates(thickness, grid, {"thickness_mm": 26.0})).sum()
+    )
+    assert full_thickness(between_plates(thickness, grid, {"thickness_mm": 26.0})).all()
+    assert between_plates(thickness, grid, {}) is thickness
 
 
 def test_full_thickness_gives_way_where_there_is_no_room():
