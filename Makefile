@@ -82,6 +82,7 @@ validate: install-dev test-production
 	$(BIN)/python -m bench.verification
 	$(BIN)/python -m bench.figure4
 	$(BIN)/python -m bench.sweep --runs 200
+	$(BIN)/python -m bench.percents
 	$(BIN)/python -m bench.paper_cups --data $(DATA)
 	$(BIN)/python -m bench.figures --data $(DATA)
 	$(BIN)/python -m bench.projection

@@ -110,3 +110,9 @@ def test_a_refused_breast_counts_as_buckled_only_where_being_slender_is_the_reas
     assert not stands_where_wider(narrow, CompressionSpec(percent=60.0, force_limit_N=1.0))
     wide = Subject("wide", half_ellipsoid((80.0, 70.0, 60.0, 60.0), 8), narrow.phantom)
     assert not stands_where_wider(wide, CompressionSpec(percent=60.0))
+
+
+def test_a_wall_that_drifts_is_seen(mesh: TetMesh, result: Compression) -> None:
+    moved = result.displacement.copy()
+    moved[:, 1] += 0.03
+    assert faults(mesh, SPEC, replace(result, displacement=moved)) == ["the chest wall drifts and rolls by 0.03 mm"]
