@@ -21,6 +21,7 @@ from typing import Any
 import numpy as np
 
 from simcore import __version__, dicom, fem, mesh, phantom, preview, projection, reconstruction, unused, warp
+from simcore.cautions import cautions
 from simcore.core import files
 from simcore.core.artifacts import Compression, Phantom, ProjectionStack, Report, TetMesh, Volume
 from simcore.core.progress import Progress
@@ -319,6 +320,7 @@ def _result(spec: SimulationSpec, store: Store, records: list[StageResult[Any]],
         for name, ref in r.record.outputs.items()
         if r.record.stage in PUBLIC_STAGES or name in PUBLIC_FILES
     }
+    reports = {r.record.stage: r.record.report for r in records}
     manifest = {
         "schema": "tomosim-manifest/1",
         "software": {"name": "tomosim", "version": __version__, "libraries": _libraries()},
@@ -344,7 +346,7 @@ def _result(spec: SimulationSpec, store: Store, records: list[StageResult[Any]],
             }
             for r in records
         ],
-        "results": _results({r.record.stage: r.record.report for r in records}),
+        "results": {**_results(reports), "cautions": cautions(spec, reports)},
         "files": {name: asdict(ref) for name, ref in public.items()},
     }
     return CaseResult(manifest, public, store)

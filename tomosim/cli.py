@@ -268,18 +268,13 @@ def _summary(manifest: dict[str, Any], out: Path) -> None:
         f"glandularity {100 * results['glandularity']:.1f} %; "
         f"{computed} of {len(manifest['stages'])} stages computed, {manifest['seconds']:.1f} s"
     )
+    for caution in results.get("cautions", ()):
+        print(f"tomosim: {caution}", file=sys.stderr)
 
 
 def _compressed_volume(results: dict[str, Any]) -> str:
-    """What is left of the volume between the plates and beyond, and what became of small lesions where one was not
-    kept apart; nothing for a phantom that was compressed elsewhere."""
-    if "volume_after_ml" not in results:
-        return ""
-    counts = results.get("lesion_objects", {}).values()
-    lesions = {word: sum(c[word] for c in counts) for word in ("merged", "lost")}
-    notes = [f"{results['volume_after_ml']:.1f} ml compressed"]
-    notes += [f"{number} small lesions {word}" for word, number in lesions.items() if number]
-    return f" ({', '.join(notes)})"
+    """What is left of the volume between the plates and beyond; nothing for a phantom that was compressed elsewhere."""
+    return f" ({results['volume_after_ml']:.1f} ml compressed)" if "volume_after_ml" in results else ""
 
 
 def _presets(args: argparse.Namespace) -> None:

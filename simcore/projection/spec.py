@@ -10,6 +10,7 @@ from pydantic import Field, field_validator, model_validator
 from simcore.core.spec_base import Spec, quantity
 
 ORTHONORMAL = 1e-6
+HIGHEST_OPEN_FIELD = 65535.0
 
 
 class DetectorSpec(Spec):
@@ -24,7 +25,7 @@ class DetectorSpec(Spec):
         unit="1",
         default=60000.0,
         ge=100.0,
-        le=65535.0,
+        le=HIGHEST_OPEN_FIELD,
     )
 
 

@@ -1,0 +1,48 @@
+"""Limits that a case reached are told with its results."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import pytest
+
+from simcore import presets
+from simcore.cautions import cautions
+
+SPEC = presets.get("tiny")
+
+
+@pytest.mark.parametrize(
+    ("stage", "report", "words"),
+    [
+        ("phantom", {"dropped_pieces": 2}, "2 pieces of the file"),
+        ("phantom", {"left_out_ml": {"muscle": 12.345}}, "12.3 ml of muscle"),
+        ("warp", {"lesion_objects": {"calcification": {"merged": 3, "lost": 0}}}, "3 objects of calcification touch"),
+        ("warp", {"lesion_objects": {"mass": {"merged": 0, "lost": 1}}}, "1 objects of mass have no place"),
+        ("warp", {"holes": 5}, "5 voxels of air"),
+        ("projection", {"truncated": True}, "beyond the detector"),
+        ("projection", {"min_pixel_value": 25}, "smallest pixel value is 25, whose rounding is 2 % of the signal"),
+        ("projection", {"min_pixel_value": 0}, "rounding is all of it"),
+        ("reconstruction", {"clipped_high_voxels": 7}, "7 voxels of the volume are above 0.455 1/mm"),
+        ("reconstruction", {"clipped_low_voxels": 4}, "4 voxels of the volume are below -0.2 1/mm"),
+    ],
+)
+def test_a_limit_that_was_reached_is_told(stage: str, report: dict[str, Any], words: str) -> None:
+    (sentence,) = cautions(SPEC, {stage: report})
+    assert words in sentence
+
+
+def test_a_case_without_limits_has_no_cautions() -> None:
+    reports = {
+        "warp": {"holes": 0, "lesion_objects": {"mass": {"merged": 0, "lost": 0}}},
+        "projection": {"truncated": False, "min_pixel_value": 100},
+        "reconstruction": {"clipped_high_voxels": 0, "clipped_low_voxels": 0},
+    }
+    assert cautions(SPEC, reports) == []
+
+
+def test_a_detector_at_its_largest_value_is_not_asked_for_more() -> None:
+    detector = SPEC.acquisition.detector.with_(open_field_value=65535.0)
+    spec = SPEC.with_(acquisition=SPEC.acquisition.with_(detector=detector))
+    (sentence,) = cautions(spec, {"projection": {"min_pixel_value": 3}})
+    assert sentence.endswith("take a larger physics.energy_keV")
