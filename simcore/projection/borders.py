@@ -3,17 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import numba
 import numpy as np
-from llvmlite import ir
-from numba.core import types
-from numba.extending import intrinsic
 from numpy.typing import NDArray
 
 from simcore.core.artifacts import frozen
 from simcore.core.tissues import MAX_TISSUES
+from simcore.simd.vector import word_at
 
 PLACE_SHIFT = 8
 """A border is one number: its place, then the labels before and after it, four bits each."""
@@ -83,7 +80,7 @@ def _fill(labels: NDArray[np.uint8], start: NDArray[np.int64], packed: NDArray[n
                 at += 1
             i = 1
             while at < start[k * ny + j + 1]:
-                while i + 8 <= nx and _eight(row, i) == _eight(row, i - 1):
+                while i + 8 <= nx and word_at(row, i) == word_at(row, i - 1):
                     i += 8
                 stop = min(i + 8, nx)
                 while i < stop:
@@ -94,18 +91,6 @@ def _fill(labels: NDArray[np.uint8], start: NDArray[np.int64], packed: NDArray[n
                 if stop == nx and row[nx - 1] != 0:
                     packed[at] = nx << PLACE_SHIFT | np.int64(row[nx - 1]) << 4
                     at += 1
-
-
-@intrinsic  # type: ignore[untyped-decorator]
-def _eight(typing: Any, row: Any, first: Any) -> tuple[Any, Any]:
-    """Eight labels of a contiguous row as one number."""
-
-    def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-        data = context.make_array(signature.args[0])(context, builder, arguments[0]).data
-        place = builder.gep(data, [arguments[1]])
-        return builder.load(builder.bitcast(place, ir.IntType(64).as_pointer()), align=1)
-
-    return types.uint64(row, types.int64), generate
 
 
 @numba.njit(cache=True)

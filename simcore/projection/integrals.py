@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from simcore.core.artifacts import Phantom
 from simcore.core.geometry import AcquisitionGeometry
 from simcore.core.tissues import MAX_TISSUES
-from simcore.projection import plane_prefix, plane_prefix_maps, rays
+from simcore.projection import plane_prefix, plane_prefix_rows, rays
 from simcore.projection.borders import Borders, borders_of
 
 
@@ -38,9 +38,8 @@ def line_integrals(
     if out is None:
         out = np.empty((detector.ny, detector.nx), np.float32)
     if sampling == "exact" and plane_prefix.serves(geometry, view):
-        plane_prefix.project_planes(
-            phantom.labels, borders or borders_of(phantom.labels), grid, geometry, view, mu, out
-        )
+        borders = borders or borders_of(phantom.labels)
+        plane_prefix.project_planes(borders, grid, geometry, view, mu[None], out[None])
     else:
         step = step_voxels * min(grid.spacing) if sampling == "trilinear" else 0.0
         rays.project_rays(phantom.labels, grid, geometry, view, mu, step_mm=step, out=out)
@@ -64,22 +63,16 @@ def basis_integrals(
     raises: ValueError for another number of maps. Where the detector is at rest the one pass finds the borders between
         tissues, and each map follows from these; views that plane prefixes cannot serve take a pass for each map.
     """
-    if basis.ndim != 2 or not 1 <= len(basis) <= plane_prefix_maps.MAPS or basis.shape[1] != MAX_TISSUES:
+    if basis.ndim != 2 or not 1 <= len(basis) <= plane_prefix_rows.MAPS or basis.shape[1] != MAX_TISSUES:
         raise ValueError(
-            f"basis has the shape {basis.shape}; 1 to {plane_prefix_maps.MAPS} maps of {MAX_TISSUES} labels are served"
+            f"basis has the shape {basis.shape}; 1 to {plane_prefix_rows.MAPS} maps of {MAX_TISSUES} labels are served"
         )
     detector = geometry.detector
     grid = phantom.grid.moved(z=geometry.support_height)
     if out is None:
         out = np.empty((len(basis), detector.ny, detector.nx), np.float32)
     if plane_prefix.serves(geometry, view):
-        borders = borders or borders_of(phantom.labels)
-        if plane_prefix.serves_lanes(geometry, view, grid):
-            for values, one in zip(basis, out, strict=True):
-                plane_prefix.project_planes(phantom.labels, borders, grid, geometry, view, values, one)
-        else:
-            ends = borders.row_ends(np.abs(basis).sum(axis=0))
-            plane_prefix_maps.project_maps(phantom.labels, ends, grid, geometry, view, basis, out)
+        plane_prefix.project_planes(borders or borders_of(phantom.labels), grid, geometry, view, basis, out)
     else:
         for values, one in zip(basis, out, strict=True):
             rays.project_rays(phantom.labels, grid, geometry, view, values, out=one)

@@ -9,31 +9,24 @@ row's path in that voxel row, and a crossing takes one vector from E and gives i
 from __future__ import annotations
 
 import math
-from typing import Any
 
 import numba
 import numpy as np
-from llvmlite import ir
-from numba.core import types
-from numba.extending import intrinsic
 from numpy.typing import NDArray
 
-from simcore.core.vectors import LANES, VECTOR, splat
 from simcore.projection.borders import PLACE_SHIFT
 from simcore.projection.crossings import Columns, Crossings, crossings_of
+from simcore.projection.plane_prefix_rows import Rows
+from simcore.simd.aligned import zeros
+from simcore.simd.vector import LANES, fma, load, minimum, minus, plus, splat, store
 
 FloatArray = NDArray[np.float32]
-
-Rows = tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]
-"""As in ``plane_prefix``."""
 
 BorderLists = tuple[NDArray[np.int64], NDArray[np.uint32], FloatArray, int, int, int]
 """start and packed of ``Borders``; how mu falls at a border, see ``Borders.falls``; nz, ny, nx."""
 
 FLATTEST = 0.999
 """Voxel rows that a path may pass in a slice: with less than one it turns once at most."""
-
-_INDEX = ir.IntType(64)
 
 
 @numba.njit(parallel=True, cache=True, error_model="numpy")
@@ -61,20 +54,12 @@ def project_lanes(
     for task in numba.prange(len(order)):
         first = order[task] * LANES
         count = min(LANES, len(stretch) - first)
-        sums = aligned_zeros(borders[5] + 2)
-        image = aligned_zeros(len(last))
+        sums = zeros((borders[5] + 2) * LANES)
+        image = zeros(len(last) * LANES)
         if _run_group(borders, rows, crossings, first, count, sums, image):
             _finish(sums, rows[3], last, squared, edge_z, first, count, pixels, image, out)
         else:
             out[first : first + count] = np.float32(0.0)
-
-
-@numba.njit(cache=True)
-def aligned_zeros(vectors: int) -> FloatArray:
-    """float32 (vectors * LANES,), from a cache line on."""
-    memory = np.zeros((vectors + 1) * LANES, np.float32)
-    shift = (-memory.ctypes.data % 64) // 4
-    return memory[shift : shift + vectors * LANES]
 
 
 @numba.njit(cache=True, error_model="numpy")
@@ -90,8 +75,9 @@ def _run_group(
     start, packed, falls, slices, depth, _ = borders
     event_start, pixel, boundary, fraction, _ = crossings
     bottom_y, top_y, _, _ = rows
-    entered, left = aligned_zeros(len(sums) // LANES), aligned_zeros(len(sums) // LANES)
-    turn, grown, into, beyond = aligned_zeros(1), aligned_zeros(1), aligned_zeros(1), aligned_zeros(1)
+    entered, left = zeros(len(sums)), zeros(len(sums))
+    turn, grown, into, beyond = zeros(LANES), zeros(LANES), zeros(LANES), zeros(LANES)
+    nothing, whole = splat(np.float32(0.0), LANES), splat(np.float32(1.0), LANES)
     at, then = np.full(LANES, -1, np.int64), np.full(LANES, -1, np.int64)
     turn[:] = np.float32(1.0)
     farthest = np.uint32(0)
@@ -116,31 +102,40 @@ def _run_group(
                 into[lane] = at[lane] == column
                 beyond[lane] = then[lane] == column and at[lane] != column
                 grown[lane] = turn[lane] * into[lane] + (np.float32(1.0) - turn[lane]) * beyond[lane]
+            weight, weight_into, weight_beyond = load(grown, 0, LANES), load(into, 0, LANES), load(beyond, 0, LANES)
             for border in range(np.uint64(start[row]), np.uint64(start[row + 1])):
-                place = packed[border] >> np.uint32(PLACE_SHIFT)
-                fall = falls[packed[border] & np.uint32(255)]
-                _grow(sums, place * LANES, fall, grown)
-                _grow(entered, place * LANES, fall, into)
+                b = np.int64(packed[border] >> np.uint32(PLACE_SHIFT)) * LANES
+                fall = splat(falls[packed[border] & np.uint32(255)], LANES)
+                store(sums, b, fma(fall, weight, load(sums, b, LANES)))
+                store(entered, b, fma(fall, weight_into, load(entered, b, LANES)))
                 if turns:
-                    _grow(left, place * LANES, fall, beyond)
+                    store(left, b, fma(fall, weight_beyond, load(left, b, LANES)))
             farthest = max(farthest, packed[start[row + 1] - 1] >> np.uint32(PLACE_SHIFT))
         if farthest == 0:
             continue
+        heights = load(turn, 0, LANES)
         for event in range(np.uint64(event_start[k]), np.uint64(event_start[k + 1])):
-            b = boundary[event]
-            if b > farthest:
+            if boundary[event] > farthest:
                 break
+            b, v = np.int64(boundary[event]) * LANES, np.int64(pixel[event]) * LANES
+            total = load(sums, b, LANES)
             if turns:
-                _cross_turning(image, pixel[event] * LANES, sums, b * LANES, entered, left, fraction[event], turn)
+                # Each path leaves one voxel row for the next at its height ``turn`` within the slice (1: it does not).
+                height = splat(fraction[event], LANES)
+                before = minimum(height, heights)
+                missing = minus(before, heights)  # of the part up to the turn, at most 0
+                after = minus(minus(height, before), minus(whole, heights))
+                total = fma(after, load(left, b, LANES), fma(missing, load(entered, b, LANES), total))
             else:
-                _cross(image, pixel[event] * LANES, sums, b * LANES, entered, fraction[event] - np.float32(1.0))
+                total = fma(splat(fraction[event] - np.float32(1.0), LANES), load(entered, b, LANES), total)
+            store(image, v, minus(load(image, v, LANES), total))
         for column in range(lowest, highest + 1):
             row = k * depth + column
             for border in range(np.uint64(start[row]), np.uint64(start[row + 1])):
-                place = packed[border] >> np.uint32(PLACE_SHIFT)
-                _clear(entered, place * LANES)
+                b = np.int64(packed[border] >> np.uint32(PLACE_SHIFT)) * LANES
+                store(entered, b, nothing)
                 if turns:
-                    _clear(left, place * LANES)
+                    store(left, b, nothing)
     return bool(farthest > 0)
 
 
@@ -162,113 +157,13 @@ def _finish(
     squared: (pixels,), (dx / dz)^2."""
     # T_{b-1} = E_b + T_b, and nothing lies beyond the last column: E becomes T.
     for b in range(len(sums) // LANES - 2, -1, -1):
-        _grow_by(sums, b * LANES, sums, (b + 1) * LANES)
+        store(sums, b * LANES, plus(load(sums, b * LANES, LANES), load(sums, (b + 1) * LANES, LANES)))
     constant = (1.0 + tangent_y[first : first + count] ** 2).astype(np.float32)
     edge = np.float32(edge_z)
     for v in range(pixels):
         if last[v] >= 0:
-            _grow_by(image, v * LANES, sums, (last[v] + 1) * LANES)
+            top = load(sums, (last[v] + 1) * LANES, LANES)
+            store(image, v * LANES, plus(load(image, v * LANES, LANES), top))
         for lane in range(count):
             out[first + lane, v] = image[v * LANES + lane] * (edge * np.sqrt(constant[lane] + squared[v]))
     out[first : first + count, pixels:] = np.float32(0.0)
-
-
-def _address(context: Any, builder: Any, kind: Any, array: Any, place: Any) -> Any:
-    """Of the vector at ``place`` of a contiguous float32 array."""
-    data = context.make_array(kind)(context, builder, array).data
-    return builder.bitcast(builder.gep(data, [place]), VECTOR.as_pointer())
-
-
-def _function(builder: Any, name: str, count: int) -> Any:
-    name = f"llvm.{name}.v{LANES}f32"
-    kind = ir.FunctionType(VECTOR, [VECTOR] * count)
-    return builder.module.globals.get(name) or ir.Function(builder.module, kind, name)
-
-
-@intrinsic  # type: ignore[untyped-decorator]
-def _grow(typing: Any, target: Any, place: Any, value: Any, weights: Any) -> tuple[Any, Any]:
-    """target[place : place + LANES] += value weights"""
-
-    def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-        target_, place, value, weights_ = arguments
-        address = _address(context, builder, signature.args[0], target_, place)
-        weight = builder.load(_address(context, builder, signature.args[3], weights_, _INDEX(0)), align=64)
-        multiply_add = _function(builder, "fmuladd", 3)
-        builder.store(
-            builder.call(multiply_add, [splat(builder, value), weight, builder.load(address, align=64)]),
-            address,
-            align=64,
-        )
-        return context.get_dummy_value()
-
-    return types.void(target, types.int64, types.float32, weights), generate
-
-
-@intrinsic  # type: ignore[untyped-decorator]
-def _grow_by(typing: Any, target: Any, place: Any, source: Any, start: Any) -> tuple[Any, Any]:
-    """target[place : place + LANES] += source[start : start + LANES]"""
-
-    def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-        target_, place, source_, start = arguments
-        address = _address(context, builder, signature.args[0], target_, place)
-        other = _address(context, builder, signature.args[2], source_, start)
-        builder.store(builder.fadd(builder.load(address, align=64), builder.load(other, align=64)), address, align=64)
-        return context.get_dummy_value()
-
-    return types.void(target, types.int64, source, types.int64), generate
-
-
-@intrinsic  # type: ignore[untyped-decorator]
-def _clear(typing: Any, target: Any, place: Any) -> tuple[Any, Any]:
-    """target[place : place + LANES] = 0"""
-
-    def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-        target_, place = arguments
-        address = _address(context, builder, signature.args[0], target_, place)
-        builder.store(ir.Constant(VECTOR, [0.0] * LANES), address, align=64)
-        return context.get_dummy_value()
-
-    return types.void(target, types.int64), generate
-
-
-@intrinsic  # type: ignore[untyped-decorator]
-def _cross(typing: Any, image: Any, v: Any, sums: Any, b: Any, step: Any, part: Any) -> tuple[Any, Any]:
-    """image[v : v + LANES] -= sums[b : b + LANES] + part step[b : b + LANES]"""
-
-    def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-        image_, v, sums_, b, step_, part = arguments
-        address = _address(context, builder, signature.args[0], image_, v)
-        total = builder.load(_address(context, builder, signature.args[2], sums_, b), align=64)
-        grown = builder.load(_address(context, builder, signature.args[4], step_, b), align=64)
-        total = builder.call(_function(builder, "fmuladd", 3), [splat(builder, part), grown, total])
-        builder.store(builder.fsub(builder.load(address, align=64), total), address, align=64)
-        return context.get_dummy_value()
-
-    return types.void(image, types.int64, sums, types.int64, step, types.float32), generate
-
-
-@intrinsic  # type: ignore[untyped-decorator]
-def _cross_turning(
-    typing: Any, image: Any, v: Any, sums: Any, b: Any, entered: Any, left: Any, fraction: Any, turn: Any
-) -> tuple[Any, Any]:
-    """As ``_cross``, where each path leaves one voxel row for the next at its height ``turn`` within the slice (1: it
-    does not)."""
-
-    def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-        image_, v, sums_, b, entered_, left_, fraction, turn_ = arguments
-        multiply_add = _function(builder, "fmuladd", 3)
-        address = _address(context, builder, signature.args[0], image_, v)
-        total, before_turn, after_turn, turn = (
-            builder.load(_address(context, builder, signature.args[n], array, place), align=64)
-            for n, array, place in ((2, sums_, b), (4, entered_, b), (5, left_, b), (7, turn_, _INDEX(0)))
-        )
-        height = splat(builder, fraction)
-        before = builder.call(_function(builder, "minnum", 2), [height, turn])
-        missing = builder.fsub(before, turn)  # of the part up to the turn, at most 0
-        after = builder.fsub(builder.fsub(height, before), builder.fsub(ir.Constant(VECTOR, [1.0] * LANES), turn))
-        total = builder.call(multiply_add, [missing, before_turn, total])
-        total = builder.call(multiply_add, [after, after_turn, total])
-        builder.store(builder.fsub(builder.load(address, align=64), total), address, align=64)
-        return context.get_dummy_value()
-
-    return types.void(image, types.int64, sums, types.int64, entered, left, types.float32, turn), generate

@@ -3,8 +3,8 @@
 The response of a symmetric filter is real, so one complex transform filters two columns, one as the real part and one
 as the imaginary part. The forward transform decimates in frequency, in place, and leaves the spectrum in digit-reversed
 order; the response is brought into that order, and the inverse transform undoes the passes one by one: nothing is ever
-reordered (W. M. Gentleman, G. Sande, AFIPS 29 (1966) 563). Every butterfly is written out in vectors whose lanes are
-columns, as in ``lanes``: a pass runs at the speed of the second-level cache.
+reordered (W. M. Gentleman, G. Sande, AFIPS 29 (1966) 563). The lanes of every vector are columns: a pass runs at the
+speed of the second-level cache.
 """
 
 from __future__ import annotations
@@ -14,21 +14,28 @@ from functools import cache
 from typing import Any
 
 import numpy as np
-from llvmlite import ir
 from numba import njit
-from numba.core import types
-from numba.extending import intrinsic
 from numpy.typing import NDArray
 
 from simcore.core.artifacts import frozen
-from simcore.core.vectors import LANES, VECTOR, splat
+from simcore.simd import aligned
+from simcore.simd.vector import LANES, fma, load, minus, negative, plus, splat, store, times
 
 FloatArray = NDArray[np.float32]
 RADICES = (4, 2, 3, 5)
 VALUES_IN_CACHE = 320
 """So many rows of two vectors stay in the first-level cache."""
 
-_INDEX = ir.IntType(64)
+
+def _roots(n: int) -> tuple[tuple[np.float32, np.float32], ...]:
+    """(cosine, sine) of exp(-2 pi i k / n), k = 1 .. n - 1."""
+    return tuple(
+        (np.float32(round(np.cos(angle), 15)), np.float32(round(np.sin(angle), 15)))
+        for angle in -2 * np.pi / n * np.arange(1, n)
+    )
+
+
+THIRDS, FIFTHS = _roots(3), _roots(5)
 
 
 @dataclass(frozen=True)
@@ -85,9 +92,7 @@ def _convolve(
     columns: FloatArray, radices: NDArray[np.int64], turns: FloatArray, response: FloatArray, out: FloatArray
 ) -> None:
     length, count = len(response), columns.shape[1]
-    memory = np.empty(2 * length * LANES + LANES, np.float32)
-    shift = (-memory.ctypes.data % 64) // 4
-    whole = memory[shift : shift + 2 * length * LANES].reshape(2, length, LANES)
+    whole = aligned.row(2 * length * LANES).reshape(2, length, LANES)
     real, imaginary = whole[0], whole[1]
     # Passes over blocks that do not fit into the first-level cache; all others are made block by block.
     large, block, turns_of_large = 0, length, 0
@@ -118,7 +123,7 @@ def _read(columns: FloatArray, start: int, part: FloatArray) -> None:
     part[rows:] = np.float32(0.0)
     if start + LANES <= count:
         for row in range(rows):
-            _move(columns, row * pitch + start, part, row * LANES)
+            store(part, row * LANES, load(columns, row * pitch + start, LANES))
         return
     part[:rows] = np.float32(0.0)
     for row in range(rows):
@@ -132,7 +137,7 @@ def _write(part: FloatArray, out: FloatArray, start: int) -> None:
     pitch = out.strides[0] // out.itemsize
     if start + LANES <= count:
         for row in range(rows):
-            _move(part, row * LANES, out, row * pitch + start)
+            store(out, row * pitch + start, load(part, row * LANES, LANES))
         return
     for row in range(rows):
         for i in range(count - start):
@@ -191,125 +196,174 @@ def _back(real: FloatArray, imaginary: FloatArray, radices: NDArray[np.int64], t
         stride = n
 
 
-@intrinsic  # type: ignore[untyped-decorator]
-def _move(typing: Any, source: Any, start: Any, target: Any, place: Any) -> tuple[Any, Any]:
-    """LANES neighbouring values from one array to another; places are counted from their first values."""
-
-    def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-        source_value, start, target_value, place = arguments
-        pointers = [
-            builder.bitcast(
-                builder.gep(context.make_array(kind)(context, builder, value).data, [at]), VECTOR.as_pointer()
-            )
-            for kind, value, at in (
-                (signature.args[0], source_value, start),
-                (signature.args[2], target_value, place),
-            )
-        ]
-        builder.store(builder.load(pointers[0], align=4), pointers[1], align=4)
-        return context.get_dummy_value()
-
-    return types.void(source, types.int64, target, types.int64), generate
+# Complex vectors are pairs (real, imaginary). LLVM puts everything below into its callers.
 
 
-def _butterfly(radix: int, forward: bool) -> Any:
-    """(real, imaginary, first, stride, turns, turn): the values at first + q stride, q < radix, transformed in place.
-
-    forward: the transform, then the twiddle factors from turns[turn] on; else their inverses, in the inverse order.
-    """
-
-    @intrinsic  # type: ignore[untyped-decorator]
-    def butterfly(
-        typing: Any, real: Any, imaginary: Any, first: Any, stride: Any, turns: Any, turn: Any
-    ) -> tuple[Any, Any]:
-        signature = types.void(real, imaginary, types.int64, types.int64, turns, types.int64)
-
-        def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-            real_value, imaginary_value, first, stride, turns_value, turn = arguments
-            memory = [
-                context.make_array(kind)(context, builder, value).data
-                for kind, value in zip(signature.args[:2], (real_value, imaginary_value), strict=True)
-            ]
-            factors = context.make_array(signature.args[4])(context, builder, turns_value).data
-            one = _Complex(builder)
-            places = [
-                builder.mul(builder.add(first, builder.mul(stride, _INDEX(q))), _INDEX(LANES)) for q in range(radix)
-            ]
-            pointers = [
-                [builder.bitcast(builder.gep(m, [place]), VECTOR.as_pointer()) for m in memory] for place in places
-            ]
-            values = [tuple(builder.load(p, align=64) for p in pair) for pair in pointers]
-
-            def turned(value: Any, p: int) -> Any:
-                cosine, sine = (
-                    splat(builder, builder.load(builder.gep(factors, [builder.add(turn, _INDEX(2 * (p - 1) + part))])))
-                    for part in range(2)
-                )
-                return one.times(value, cosine, sine if forward else builder.fneg(sine))
-
-            if not forward:
-                values = values[:1] + [turned(v, p) for p, v in enumerate(values) if p > 0]
-            values = [one.sum_of_turned(values, -p if forward else p) for p in range(radix)]
-            if forward:
-                values = values[:1] + [turned(v, p) for p, v in enumerate(values) if p > 0]
-            for pair, value in zip(pointers, values, strict=True):
-                for pointer, part in zip(pair, value, strict=True):
-                    builder.store(part, pointer, align=64)
-            return context.get_dummy_value()
-
-        return signature, generate
-
-    return butterfly
+@njit(forceinline=True)
+def _at(real: FloatArray, imaginary: FloatArray, place: int) -> Any:
+    return load(real, place * LANES, LANES), load(imaginary, place * LANES, LANES)
 
 
-class _Complex:
-    """Arithmetic of pairs (real, imaginary) of vectors."""
-
-    def __init__(self, builder: Any) -> None:
-        self.builder = builder
-
-    def times(self, value: Any, cosine: Any, sine: Any) -> Any:
-        b = self.builder
-        real, imaginary = value
-        return (
-            self.multiply_add(cosine, real, b.fneg(b.fmul(sine, imaginary))),
-            self.multiply_add(cosine, imaginary, b.fmul(sine, real)),
-        )
-
-    def multiply_add(self, x: Any, y: Any, z: Any) -> Any:
-        kind = ir.FunctionType(VECTOR, [VECTOR] * 3)
-        name = f"llvm.fmuladd.v{LANES}f32"
-        function = self.builder.module.globals.get(name) or ir.Function(self.builder.module, kind, name)
-        return self.builder.call(function, [x, y, z])
-
-    def sum_of_turned(self, values: list[Any], steps: int) -> Any:
-        """sum over q of values[q] exp(2 pi i q steps / len(values))"""
-        radix = len(values)
-        if radix % 2 == 0:  # the sums and differences of opposite values serve several results
-            half = radix // 2
-            join = self.plus if steps % 2 == 0 else self.minus
-            values = [join(values[q], values[q + half]) for q in range(half)]
-        total = values[0]
-        for q, value in enumerate(values[1:], 1):
-            total = self.plus(total, self.by_constant(value, np.exp(2j * np.pi * q * steps / radix)))
-        return total
-
-    def plus(self, x: Any, y: Any) -> Any:
-        return tuple(self.builder.fadd(a, b) for a, b in zip(x, y, strict=True))
-
-    def minus(self, x: Any, y: Any) -> Any:
-        return tuple(self.builder.fsub(a, b) for a, b in zip(x, y, strict=True))
-
-    def by_constant(self, value: Any, factor: complex) -> Any:
-        real, imaginary = value
-        cosine, sine = round(factor.real, 15), round(factor.imag, 15)
-        if (cosine, sine) == (1.0, 0.0):
-            return value
-        if cosine == 0.0 and abs(sine) == 1.0:
-            return (self.builder.fneg(imaginary), real) if sine > 0 else (imaginary, self.builder.fneg(real))
-        constants = (ir.Constant(VECTOR, [float(np.float32(c))] * LANES) for c in (cosine, sine))
-        return self.times(value, *constants)
+@njit(forceinline=True)
+def _put(real: FloatArray, imaginary: FloatArray, place: int, value: Any) -> None:
+    store(real, place * LANES, value[0])
+    store(imaginary, place * LANES, value[1])
 
 
-_forward2, _forward3, _forward4, _forward5 = (_butterfly(radix, True) for radix in (2, 3, 4, 5))
-_back2, _back3, _back4, _back5 = (_butterfly(radix, False) for radix in (2, 3, 4, 5))
+@njit(forceinline=True)
+def _sum(one: Any, other: Any) -> Any:
+    return plus(one[0], other[0]), plus(one[1], other[1])
+
+
+@njit(forceinline=True)
+def _difference(one: Any, other: Any) -> Any:
+    return minus(one[0], other[0]), minus(one[1], other[1])
+
+
+@njit(forceinline=True)
+def _turned(value: Any, cosine: np.float32, sine: np.float32) -> Any:
+    """(cosine + i sine) value"""
+    c, s = splat(cosine, LANES), splat(sine, LANES)
+    return fma(c, value[0], negative(times(s, value[1]))), fma(c, value[1], times(s, value[0]))
+
+
+@njit(forceinline=True)
+def _plus_turned(total: Any, one: Any, turn_one: Any, other: Any, turn_other: Any) -> Any:
+    """total + turn_one one + turn_other other; turns: (cosine, sine)"""
+    total = _sum(total, _turned(one, turn_one[0], turn_one[1]))
+    return _sum(total, _turned(other, turn_other[0], turn_other[1]))
+
+
+# The transforms of 3, 4 and 5 values; the inverse one of any number has the results 0, n - 1, n - 2, ... of these.
+
+
+@njit(forceinline=True)
+def _three(a: Any, b: Any, c: Any) -> Any:
+    return (
+        _sum(_sum(a, b), c),
+        _plus_turned(a, b, THIRDS[0], c, THIRDS[1]),
+        _plus_turned(a, b, THIRDS[1], c, THIRDS[0]),
+    )
+
+
+@njit(forceinline=True)
+def _four(a: Any, b: Any, c: Any, d: Any) -> Any:
+    even, odd = _sum(a, c), _sum(b, d)
+    across, aside = _difference(a, c), _difference(b, d)
+    return (
+        _sum(even, odd),
+        (plus(across[0], aside[1]), minus(across[1], aside[0])),
+        _difference(even, odd),
+        (minus(across[0], aside[1]), plus(across[1], aside[0])),
+    )
+
+
+@njit(forceinline=True)
+def _five(a: Any, b: Any, c: Any, d: Any, e: Any) -> Any:
+    one, two, three, four = FIFTHS
+    return (
+        _sum(_sum(_sum(_sum(a, b), c), d), e),
+        _plus_turned(_plus_turned(a, b, one, c, two), d, three, e, four),
+        _plus_turned(_plus_turned(a, b, two, c, four), d, one, e, three),
+        _plus_turned(_plus_turned(a, b, three, c, one), d, four, e, two),
+        _plus_turned(_plus_turned(a, b, four, c, three), d, two, e, one),
+    )
+
+
+# Butterflies: the values at first + q stride, q < radix, transformed in place. Forward: the transform, then the twiddle
+# factors from turns[turn] on. Back: their inverses, then the inverse transform.
+
+
+@njit(forceinline=True)
+def _put_turned(real: FloatArray, imaginary: FloatArray, place: int, value: Any, turns: FloatArray, turn: int) -> None:
+    _put(real, imaginary, place, _turned(value, turns[turn], turns[turn + 1]))
+
+
+@njit(forceinline=True)
+def _turned_back(real: FloatArray, imaginary: FloatArray, place: int, turns: FloatArray, turn: int) -> Any:
+    return _turned(_at(real, imaginary, place), turns[turn], -turns[turn + 1])
+
+
+@njit(forceinline=True)
+def _forward2(real: FloatArray, imaginary: FloatArray, first: int, stride: int, turns: FloatArray, turn: int) -> None:
+    a, b = _at(real, imaginary, first), _at(real, imaginary, first + stride)
+    _put(real, imaginary, first, _sum(a, b))
+    _put_turned(real, imaginary, first + stride, _difference(a, b), turns, turn)
+
+
+@njit(forceinline=True)
+def _back2(real: FloatArray, imaginary: FloatArray, first: int, stride: int, turns: FloatArray, turn: int) -> None:
+    a, b = _at(real, imaginary, first), _turned_back(real, imaginary, first + stride, turns, turn)
+    _put(real, imaginary, first, _sum(a, b))
+    _put(real, imaginary, first + stride, _difference(a, b))
+
+
+@njit(forceinline=True)
+def _forward3(real: FloatArray, imaginary: FloatArray, first: int, stride: int, turns: FloatArray, turn: int) -> None:
+    second, third = first + stride, first + 2 * stride
+    a, b, c = _three(_at(real, imaginary, first), _at(real, imaginary, second), _at(real, imaginary, third))
+    _put(real, imaginary, first, a)
+    _put_turned(real, imaginary, second, b, turns, turn)
+    _put_turned(real, imaginary, third, c, turns, turn + 2)
+
+
+@njit(forceinline=True)
+def _back3(real: FloatArray, imaginary: FloatArray, first: int, stride: int, turns: FloatArray, turn: int) -> None:
+    second, third = first + stride, first + 2 * stride
+    b = _turned_back(real, imaginary, second, turns, turn)
+    c = _turned_back(real, imaginary, third, turns, turn + 2)
+    a, c, b = _three(_at(real, imaginary, first), b, c)
+    _put(real, imaginary, first, a)
+    _put(real, imaginary, second, b)
+    _put(real, imaginary, third, c)
+
+
+@njit(forceinline=True)
+def _forward4(real: FloatArray, imaginary: FloatArray, first: int, stride: int, turns: FloatArray, turn: int) -> None:
+    second, third, fourth = first + stride, first + 2 * stride, first + 3 * stride
+    a, b = _at(real, imaginary, first), _at(real, imaginary, second)
+    a, b, c, d = _four(a, b, _at(real, imaginary, third), _at(real, imaginary, fourth))
+    _put(real, imaginary, first, a)
+    _put_turned(real, imaginary, second, b, turns, turn)
+    _put_turned(real, imaginary, third, c, turns, turn + 2)
+    _put_turned(real, imaginary, fourth, d, turns, turn + 4)
+
+
+@njit(forceinline=True)
+def _back4(real: FloatArray, imaginary: FloatArray, first: int, stride: int, turns: FloatArray, turn: int) -> None:
+    second, third, fourth = first + stride, first + 2 * stride, first + 3 * stride
+    b = _turned_back(real, imaginary, second, turns, turn)
+    c = _turned_back(real, imaginary, third, turns, turn + 2)
+    d = _turned_back(real, imaginary, fourth, turns, turn + 4)
+    a, d, c, b = _four(_at(real, imaginary, first), b, c, d)
+    _put(real, imaginary, first, a)
+    _put(real, imaginary, second, b)
+    _put(real, imaginary, third, c)
+    _put(real, imaginary, fourth, d)
+
+
+@njit(forceinline=True)
+def _forward5(real: FloatArray, imaginary: FloatArray, first: int, stride: int, turns: FloatArray, turn: int) -> None:
+    second, third, fourth, fifth = first + stride, first + 2 * stride, first + 3 * stride, first + 4 * stride
+    a, b, c = _at(real, imaginary, first), _at(real, imaginary, second), _at(real, imaginary, third)
+    a, b, c, d, e = _five(a, b, c, _at(real, imaginary, fourth), _at(real, imaginary, fifth))
+    _put(real, imaginary, first, a)
+    _put_turned(real, imaginary, second, b, turns, turn)
+    _put_turned(real, imaginary, third, c, turns, turn + 2)
+    _put_turned(real, imaginary, fourth, d, turns, turn + 4)
+    _put_turned(real, imaginary, fifth, e, turns, turn + 6)
+
+
+@njit(forceinline=True)
+def _back5(real: FloatArray, imaginary: FloatArray, first: int, stride: int, turns: FloatArray, turn: int) -> None:
+    second, third, fourth, fifth = first + stride, first + 2 * stride, first + 3 * stride, first + 4 * stride
+    b = _turned_back(real, imaginary, second, turns, turn)
+    c = _turned_back(real, imaginary, third, turns, turn + 2)
+    d = _turned_back(real, imaginary, fourth, turns, turn + 4)
+    e = _turned_back(real, imaginary, fifth, turns, turn + 6)
+    a, e, d, c, b = _five(_at(real, imaginary, first), b, c, d, e)
+    _put(real, imaginary, first, a)
+    _put(real, imaginary, second, b)
+    _put(real, imaginary, third, c)
+    _put(real, imaginary, fourth, d)
+    _put(real, imaginary, fifth, e)

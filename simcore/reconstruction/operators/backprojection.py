@@ -16,9 +16,9 @@ from numpy.typing import NDArray
 
 from simcore.core.geometry import AcquisitionGeometry
 from simcore.core.grid import Grid
-from simcore.core.vectors import LANES
 from simcore.reconstruction.operators.interpolation import row_weights
-from simcore.reconstruction.operators.lanes import ROWS, add_resampled_rows, mix_vectors, padded_width, padding
+from simcore.reconstruction.operators.lanes import ROWS, add_resampled_rows, padded_width, padding
+from simcore.simd.vector import LANES, fma, load, splat, store, times
 
 FloatArray = NDArray[np.float32]
 Coordinates = NDArray[np.float64]
@@ -143,15 +143,15 @@ def _backproject_rows(
                         goal = r * summed.shape[1] + pad
                         lower, upper = places[0] * columns, places[1] * columns
                         further_lower, further_upper = more[0][0] * columns, more[0][1] * columns
-                        for start in range(0, columns, LANES):
-                            mix_vectors(
-                                pixels,
-                                (lower + start, upper + start, further_lower + start, further_upper + start),
-                                (weights[0], weights[1], more[1][0], more[1][1]),
-                                flat,
-                                goal + start,
-                                kept,
-                            )
+                        _mix(
+                            pixels,
+                            (lower, upper, further_lower, further_upper),
+                            (weights[0], weights[1], more[1][0], more[1][1]),
+                            flat,
+                            goal,
+                            kept,
+                            columns,
+                        )
                 add_resampled_rows(summed, pad, column_offset[z, group], column_step[z, group], 1.0, attenuation)
             for r in range(count):
                 below, above = _quantise(attenuation[r, :nx], scale, shift, out[z, y0 + r])
@@ -159,6 +159,30 @@ def _backproject_rows(
                 high += above
         clipped[block, 0] = low
         clipped[block, 1] = high
+
+
+@njit(forceinline=True, error_model="numpy")
+def _mix(
+    source: FloatArray,
+    places: tuple[int, int, int, int],
+    weights: tuple[np.float32, np.float32, np.float32, np.float32],
+    target: FloatArray,
+    goal: int,
+    kept: np.float32,
+    count: int,
+) -> None:
+    """target[goal + i] = kept target[goal + i] + sum over n of weights[n] source[places[n] + i], i < count and up to
+    whole vectors."""
+    rest = splat(kept, LANES)
+    w0, w1 = splat(weights[0], LANES), splat(weights[1], LANES)
+    w2, w3 = splat(weights[2], LANES), splat(weights[3], LANES)
+    for i in range(0, count, LANES):
+        total = times(rest, load(target, goal + i, LANES))
+        total = fma(w0, load(source, places[0] + i, LANES), total)
+        total = fma(w1, load(source, places[1] + i, LANES), total)
+        total = fma(w2, load(source, places[2] + i, LANES), total)
+        total = fma(w3, load(source, places[3] + i, LANES), total)
+        store(target, goal + i, total)
 
 
 @njit(cache=True, error_model="numpy")

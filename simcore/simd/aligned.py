@@ -1,0 +1,34 @@
+"""Memory that begins on a cache line, so that no vector of a line's length lies across two."""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+Singles = NDArray[np.float32]
+
+LINE_BYTES = 64
+_LINE = LINE_BYTES // 4
+
+
+def empty(*shape: int) -> Singles:
+    """float32 of this shape, C order, for callers of kernels."""
+    room: Singles = row(int(np.prod(shape)))
+    return room.reshape(shape)
+
+
+@njit(cache=True, nogil=True)
+def row(count: int) -> Singles:
+    """float32 (count,), not set, for kernels."""
+    room = np.empty(count + _LINE, np.float32)
+    start = -room.ctypes.data % LINE_BYTES // 4
+    return room[start : start + count]
+
+
+@njit(cache=True, nogil=True)
+def zeros(count: int) -> Singles:
+    """float32 (count,), for kernels."""
+    room = row(count)
+    room[:] = np.float32(0.0)
+    return room
