@@ -23,12 +23,13 @@ def row(count: int) -> Singles:
     """float32 (count,), not set, for kernels."""
     room = np.empty(count + _LINE, np.float32)
     start = -room.ctypes.data % LINE_BYTES // 4
-    return room[start : start + count]
+    part: Singles = room[start : start + count]
+    return part
 
 
 @njit(cache=True, nogil=True)
 def zeros(count: int) -> Singles:
     """float32 (count,), for kernels."""
-    room = row(count)
+    room: Singles = row(count)
     room[:] = np.float32(0.0)
     return room

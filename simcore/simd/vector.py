@@ -18,6 +18,7 @@ from typing import Any
 from llvmlite import ir
 from numba.core import cgutils, types
 from numba.core.errors import TypingError
+from numba.core.types.misc import unliteral
 from numba.extending import intrinsic, models, register_model
 
 Signature = tuple[Any, Callable[..., Any]]
@@ -110,7 +111,7 @@ def load_fast(typing: Any, array: Any, place: Any, width: Any) -> Signature:
 
 def _load(array: Any, place: Any, width: Any, fast: bool) -> Signature:
     kind = Vector(array.dtype, _constant(width), fast)
-    place = types.unliteral(place)
+    place = unliteral(place)
 
     def generate(context: Any, builder: Any, signature: Any, values: Any) -> Any:
         return read(context, builder, kind, (values[0], array), (values[1], place))
@@ -131,7 +132,7 @@ def store(typing: Any, array: Any, place: Any, value: Any) -> Signature:
 @intrinsic(prefer_literal=True)  # type: ignore[untyped-decorator]
 def splat(typing: Any, number: Any, width: Any) -> Signature:
     """``number``, a float, in every lane."""
-    number = types.unliteral(number)
+    number = unliteral(number)
     kind = Vector(number, _constant(width))
 
     def generate(context: Any, builder: Any, signature: Any, values: Any) -> Any:

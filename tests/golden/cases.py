@@ -7,19 +7,19 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from simcore.fem.materials.by_tissue import ByTissue
-from simcore.fem.materials.linear_elastic import LinearElastic
-from simcore.fem.materials.mooney_rivlin import MooneyRivlin
-from simcore.fem.materials.polynomial import Polynomial
-from simcore.fem.materials.published import Published
-from simcore.fem.materials.veronda_westmann import VerondaWestmann
-from simcore.fem.materials.wellman import Wellman
 
 from simcore import presets
 from simcore.core.spec_base import Spec
 from simcore.core.store import Store
 from simcore.core.tissues import Tissue
 from simcore.dicom.spec import ExportSpec
+from simcore.fem.laws.by_tissue import ByTissue
+from simcore.fem.laws.linear_elastic import LinearElastic
+from simcore.fem.laws.mooney_rivlin import MooneyRivlin
+from simcore.fem.laws.polynomial import Polynomial
+from simcore.fem.laws.published import Published
+from simcore.fem.laws.veronda_westmann import VerondaWestmann
+from simcore.fem.laws.wellman import Wellman
 from simcore.fem.spec import ElasticPlates, Gravity, SkinMembrane, SpringPaddle
 from simcore.mesh.spec import LatticeMesh
 from simcore.phantom.lesions import CalcificationCluster, Mass
@@ -142,6 +142,8 @@ CASES: dict[str, Make] = {
     ),
     "compressed-upload": _uploaded(
         True,
+        mesh=SimulationSpec().mesh,
+        compression=SimulationSpec().compression,
         reconstruction=FilteredBackprojection(
             slice_mm=2.0, filter="ramp", detector_edge="extend", region=RegionSpec(y_max_mm=10.0)
         ),
