@@ -22,7 +22,7 @@ from api.http.head import Head
 from api.http.requests import Requests
 from api.http.slow import SlowBodies
 from api.phantoms import routes as phantoms
-from api.simulations import artifacts, events
+from api.simulations import artifacts
 from api.simulations import routes as simulations
 from api.simulations.automatic import with_deliver
 from api.site import catalog, health, metrics, page, reference
@@ -92,7 +92,6 @@ def create_app(settings: Settings | None = None, messenger: Messenger | None = N
     app.add_middleware(Requests)
     for module in (
         simulations,
-        events,
         artifacts,
         studies,
         phantoms,

@@ -18,13 +18,13 @@ from api.deliveries.resources import (
 )
 from api.deliveries.service import items_of_case, items_of_study
 from api.destinations.service import find_destination
+from api.http import streams
 from api.http.auth import Deliver, Read
 from api.http.bodies import body_of, posted
 from api.http.conditions import none_match
 from api.http.deps import RETRY_AFTER, Served, identifier_of, location
 from api.http.idempotency import IdempotentRoute, Making
 from api.http.pages import AskedPage
-from api.http.streams import STREAM_HEADERS, sequence_of, stream
 from worker.contract import InstanceState, State
 from worker.records.delivery_tables import Request as DeliveryRequest
 
@@ -120,21 +120,14 @@ def list_instances(
     return InstancePage(items=[instance_resource(row) for row in rows[:limit]], next=following)
 
 
-@router.get(
-    "/{identifier}/events",
-    response_class=StreamingResponse,
-    responses={200: {"content": {"text/event-stream": {}}}, 400: {"description": "bad-event-id"}},
-)
+@router.get("/{identifier}/events", response_class=StreamingResponse, responses=streams.RESUMED_STREAM)
 def events(
-    caller: Read,
-    identifier: Identifier,
-    served: Served,
-    last_event_id: Annotated[str | None, Header(description="the last event seen; a number")] = None,
+    caller: Read, identifier: Identifier, served: Served, last_event_id: streams.LastEventId = None
 ) -> StreamingResponse:
     """Events ``state`` and ``progress`` (each instance, bytes) from the first, or after Last-Event-ID, to the end."""
     served.deliveries.get(identifier)
-    found = stream(served.deliveries, identifier, sequence_of(last_event_id), delivery_path(identifier))
-    return StreamingResponse(found, media_type="text/event-stream", headers=STREAM_HEADERS)
+    sequence = streams.sequence_of(last_event_id)
+    return streams.answer(streams.stream(served.deliveries, identifier, sequence, delivery_path(identifier)))
 
 
 @router.post("/{identifier}/cancel", status_code=202)

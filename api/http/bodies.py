@@ -39,6 +39,12 @@ def body_of(model: type[BaseModel]) -> dict[str, Any]:
     return {"requestBody": {"required": True, "content": {"application/json": {"schema": schema}}}}
 
 
+def body_named(schema: str) -> dict[str, Any]:
+    """The same of a body whose schema the description has under this name."""
+    content = {"application/json": {"schema": {"$ref": f"#/components/schemas/{schema}"}}}
+    return {"requestBody": {"required": True, "content": content}}
+
+
 def _item(found: dict[str, Any]) -> dict[str, Any]:
     pointer = "".join("/" + str(part).replace("~", "~0").replace("/", "~1") for part in found["loc"])
     value = found.get("input")

@@ -6,10 +6,12 @@ import json
 import logging
 import time
 from collections.abc import AsyncIterator
-from typing import Any
+from typing import Annotated, Any
 
 import anyio
+from fastapi import Header
 from fastapi.concurrency import run_in_threadpool
+from fastapi.responses import StreamingResponse
 
 from api.http.errors import ApiError
 from worker.contract import EVENT_STATE, FINAL_STATES
@@ -26,7 +28,17 @@ LONGEST_POLL_SECONDS = 0.5
 HEARTBEAT_SECONDS = 15.0
 RECONNECT_MILLISECONDS = 2000
 
-STREAM_HEADERS = {"Cache-Control": "no-store", "X-Accel-Buffering": "no"}
+STREAM: dict[int | str, Any] = {200: {"content": {"text/event-stream": {}}}}
+RESUMED_STREAM: dict[int | str, Any] = {**STREAM, 400: {"description": "bad-event-id"}}
+"""Answers of a route, for its description."""
+
+LastEventId = Annotated[str | None, Header(description="the last event seen; a number")]
+
+
+def answer(events: AsyncIterator[str]) -> StreamingResponse:
+    """The response that sends events as they come."""
+    headers = {"Cache-Control": "no-store", "X-Accel-Buffering": "no"}
+    return StreamingResponse(events, media_type="text/event-stream", headers=headers)
 
 
 def sequence_of(last_event_id: str | None) -> int:

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-from typing import IO, Annotated, Any
+from typing import Annotated, Any
 
 from fastapi import APIRouter, Depends, Query, Request, Response
 from fastapi.concurrency import run_in_threadpool
@@ -13,6 +12,7 @@ from api.http.bodies import content_type
 from api.http.deps import Served, location, services
 from api.http.errors import ApiError
 from api.phantoms.resources import PhantomList, PhantomResource, phantom_path, phantom_resource
+from api.phantoms.service import check_size, receive
 from simcore.phantom.upload import registry
 from simcore.phantom.upload.reading import Reading
 
@@ -62,11 +62,11 @@ async def create(
         raise ApiError(415, "unsupported-media-type", f"Content-Type = {kind!r}: the body must be {MEDIA_TYPE}")
     announced = request.headers.get("content-length", "")
     if announced.isdigit():
-        _check_size(int(announced), limit)
+        check_size(int(announced), limit)
         served.store.require_space(int(announced))
     with served.store.workspace() as folder:
         received = folder / "upload"
-        await _receive(request, received, limit)
+        await receive(request, received, limit)
         upload = await run_in_threadpool(registry.add_received, served.store, received, name, reading)
     response.headers.update(location(request, phantom_path(upload.sha256)))
     return phantom_resource(upload)
@@ -85,21 +85,3 @@ def get_phantom(caller: Read, sha256: str, served: Served) -> PhantomResource:
     if upload is None:
         raise ApiError(404, "phantom-not-found", f"there is no phantom {sha256[:100]!r}")
     return phantom_resource(upload)
-
-
-async def _receive(request: Request, target: Path, limit: int) -> None:
-    """Writes the body to a file. raises: ApiError 413 as soon as it is longer than ``limit`` bytes"""
-    file: IO[bytes] = await run_in_threadpool(open, target, "wb")  # type: ignore[arg-type]
-    try:
-        received = 0
-        async for chunk in request.stream():
-            received += len(chunk)
-            _check_size(received, limit)
-            await run_in_threadpool(file.write, chunk)
-    finally:
-        await run_in_threadpool(file.close)
-
-
-def _check_size(size: int, limit: int) -> None:
-    if size > limit:
-        raise ApiError(413, "too-large", f"the body is longer than the {limit} bytes that are allowed")

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import zlib
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from datetime import UTC, datetime
 from itertools import chain
 from typing import Annotated, Any, Literal
@@ -34,6 +34,10 @@ _FILE_RESPONSES: dict[int | str, Json] = {
     412: {"description": "changed-meanwhile: If-Match names another tag"},
     416: {"description": "range-not-satisfiable"},
 }
+
+ZIP: dict[int | str, Json] = {200: {"content": {"application/zip": _BINARY}}}
+
+Only = Annotated[Literal["dicom", "mechanics", "preview"] | None, Query(description="files of this kind alone")]
 
 router = APIRouter(prefix="/simulations/{identifier}", tags=["results"])
 
@@ -75,14 +79,12 @@ def get_manifest(caller: Read, identifier: Identifier, served: Served) -> Respon
     return Response(content, media_type="application/json")
 
 
-@router.get("/archive", response_class=StreamingResponse, responses={200: {"content": {"application/zip": _BINARY}}})
+@router.get("/archive", response_class=StreamingResponse, responses=ZIP)
 def get_archive(
     caller: Read,
     identifier: Identifier,
     served: Served,
-    only: Annotated[
-        Literal["dicom", "mechanics", "preview"] | None, Query(description="files of this kind alone")
-    ] = None,
+    only: Only = None,
 ) -> StreamingResponse:
     """Files and manifest.json as a zip archive (zip64, stored), made while it is sent."""
     manifest = finished_manifest(served, identifier)
@@ -90,11 +92,7 @@ def get_archive(
     check_stored(served.store, refs)
     when = datetime.fromtimestamp(served.jobs.get(identifier).finished or 0.0, UTC)
     first = content_member("manifest.json", manifest_bytes(manifest), when)
-    return StreamingResponse(
-        stream_zip(chain([first], file_members(served.store, refs, when)), chunk_size=files.CHUNK_BYTES),
-        media_type="application/zip",
-        headers={"Content-Disposition": f'attachment; filename="tomosim-{identifier}.zip"'},
-    )
+    return archive(chain([first], file_members(served.store, refs, when)), f"tomosim-{identifier}.zip")
 
 
 def finished_manifest(served: Services, identifier: str) -> Json:
@@ -137,6 +135,13 @@ def check_stored(store: Store, refs: dict[str, FileRef], folder: str = "") -> No
     for name, ref in refs.items():
         if not store.has(ref):
             raise ApiError(410, "expired", f"{folder}{name} is not in the store any more: post the case again")
+
+
+def archive(members: Iterable[Member], name: str) -> StreamingResponse:
+    """The answer that is a zip archive, made while it is sent."""
+    headers = {"Content-Disposition": f'attachment; filename="{name}"'}
+    content = stream_zip(members, chunk_size=files.CHUNK_BYTES)
+    return StreamingResponse(content, media_type="application/zip", headers=headers)
 
 
 def content_member(name: str, content: bytes, when: datetime) -> Member:

@@ -10,7 +10,7 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from api.destinations.service import find_destination
 from api.http.auth import Principal
-from api.http.bodies import PostedCaseBody, parsed
+from api.http.bodies import PostedCaseBody, body_named, parsed
 from api.http.deps import services
 from api.http.errors import ApiError
 
@@ -56,13 +56,8 @@ def require_deliver(caller: Principal, wanted: list[Json]) -> None:
         raise ApiError(403, "scope-missing", "'deliver' needs a key with the scope 'deliver'")
 
 
-def _body(schema: str) -> Json:
-    content = {"application/json": {"schema": {"$ref": f"#/components/schemas/{schema}"}}}
-    return {"requestBody": {"required": True, "content": content}}
-
-
-BODY_WITH_DELIVER = _body("PostedSimulation")
-STUDY_WITH_DELIVER = _body("PostedStudy")
+BODY_WITH_DELIVER = body_named("PostedSimulation")
+STUDY_WITH_DELIVER = body_named("PostedStudy")
 
 
 def with_deliver(title: str, specification: Json) -> Json:

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Any
+from typing import Annotated
 
 from fastapi import APIRouter, Query, Request, Response
-from fastapi.responses import JSONResponse
+from fastapi.responses import JSONResponse, StreamingResponse
 
+from api.http import streams
 from api.http.auth import Read, Submitting, Write
-from api.http.bodies import PostedSpecification
+from api.http.bodies import PostedSpecification, body_named
 from api.http.conditions import CHANGED, UNCHANGED, IfMatch, IfNoneMatch, document, none_match, require_match
 from api.http.deps import RETRY_AFTER, Identifier, Served, Services, location
 from api.http.errors import ApiError
@@ -22,13 +23,6 @@ from simcore.estimate import Estimate
 from worker.contract import Device, Priority, State
 from worker.records.jobs import Simulation
 from worker.records.rows import StateError
-
-_BODY: dict[str, Any] = {
-    "requestBody": {
-        "required": True,
-        "content": {"application/json": {"schema": {"$ref": "#/components/schemas/SimulationSpec"}}},
-    }
-}
 
 router = APIRouter(prefix="/simulations", tags=["simulations"], route_class=IdempotentRoute)
 
@@ -71,7 +65,7 @@ def create(
     return simulation_resource(row, data)
 
 
-@router.post("/estimate", openapi_extra=_BODY)
+@router.post("/estimate", openapi_extra=body_named("SimulationSpec"))
 def estimate_needs(caller: Read, specification: PostedSpecification, served: Served) -> Estimate:
     """What a case would need; nothing is kept."""
     return check(specification, served)
@@ -130,6 +124,16 @@ def delete(caller: Write, identifier: Identifier, served: Served, if_match: IfMa
         raise ApiError(
             409, "not-finished", f"the simulation is {error.state}: cancel it first, or wait for its end"
         ) from None
+
+
+@router.get("/{identifier}/events", response_class=StreamingResponse, responses=streams.RESUMED_STREAM)
+def events(
+    caller: Read, identifier: Identifier, served: Served, last_event_id: streams.LastEventId = None
+) -> StreamingResponse:
+    """Events ``state`` and ``progress`` from the first (or after Last-Event-ID) to the final state."""
+    served.jobs.get(identifier)
+    sequence = streams.sequence_of(last_event_id)
+    return streams.answer(streams.stream(served.jobs, identifier, sequence, simulation_path(identifier)))
 
 
 def _answer(served: Services, row: Simulation, if_none_match: str | None = None) -> Response:

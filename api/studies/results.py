@@ -12,15 +12,22 @@ import anyio
 from fastapi import APIRouter, Depends, Header, Query, Response
 from fastapi.concurrency import run_in_threadpool
 from fastapi.responses import StreamingResponse
-from stream_zip import stream_zip
 
-from api.http import files
+from api.http import streams
 from api.http.auth import Read
 from api.http.deps import Served, Services, StudyIdentifier
 from api.http.errors import ApiError
 from api.http.pages import Page, page_of
-from api.http.streams import HEARTBEAT_SECONDS, RECONNECT_MILLISECONDS, STREAM_HEADERS
-from api.simulations.artifacts import Member, chosen_files, content_member, file_members, manifest_bytes
+from api.simulations.artifacts import (
+    ZIP,
+    Member,
+    Only,
+    archive,
+    chosen_files,
+    content_member,
+    file_members,
+    manifest_bytes,
+)
 from api.studies import tables
 from api.studies.resources import CasePage, case_resource, folder_name, study_resource
 from worker.contract import State
@@ -31,9 +38,6 @@ from worker.records.studies import Studies, Study
 
 POLL_SECONDS = 1.0
 
-_ZIP: dict[int | str, dict[str, Any]] = {
-    200: {"content": {"application/zip": {"schema": {"type": "string", "format": "binary"}}}}
-}
 _MANIFEST: dict[int | str, dict[str, Any]] = {
     200: {"content": {"application/json": {}, "text/csv": {"schema": {"type": "string"}}}}
 }
@@ -79,14 +83,12 @@ def get_manifest(
     return Response(content, media_type="text/csv; charset=utf-8", headers=headers)
 
 
-@router.get("/archive", response_class=StreamingResponse, responses=_ZIP)
+@router.get("/archive", response_class=StreamingResponse, responses=ZIP)
 def get_archive(
     caller: Read,
     identifier: StudyIdentifier,
     served: Served,
-    only: Annotated[
-        Literal["dicom", "mechanics", "preview"] | None, Query(description="files of this kind alone")
-    ] = None,
+    only: Only = None,
 ) -> StreamingResponse:
     """The files of the cases that have succeeded so far, one folder a case, as a zip archive made while it is sent.
 
@@ -98,26 +100,14 @@ def get_archive(
     now = time.time()
     if not served.studies.has_files(identifier, now):
         raise ExpiredError(f"the files of study {identifier}")
-    return StreamingResponse(
-        stream_zip(_members(served, row, only, now), chunk_size=files.CHUNK_BYTES),
-        media_type="application/zip",
-        headers={"Content-Disposition": f'attachment; filename="study-{identifier}.zip"'},
-    )
+    return archive(_members(served, row, only, now), f"study-{identifier}.zip")
 
 
-@router.get(
-    "/events",
-    response_class=StreamingResponse,
-    responses={200: {"content": {"text/event-stream": {}}}},
-)
+@router.get("/events", response_class=StreamingResponse, responses=streams.STREAM)
 def events(caller: Read, identifier: StudyIdentifier, served: Served) -> StreamingResponse:
     """An event ``study`` with state and counts now and after every change, until all cases have ended."""
     served.studies.get(identifier)
-    return StreamingResponse(
-        _stream(served.studies, identifier),
-        media_type="text/event-stream",
-        headers=STREAM_HEADERS,
-    )
+    return streams.answer(_stream(served.studies, identifier))
 
 
 def manifest_json(served: Services, study: Study, now: float) -> Iterator[str]:
@@ -160,7 +150,7 @@ def _members(served: Services, study: Study, only: str | None, now: float) -> It
 
 
 async def _stream(studies: Studies, identifier: str) -> AsyncIterator[str]:
-    yield f"retry: {RECONNECT_MILLISECONDS}\n\n"
+    yield f"retry: {streams.RECONNECT_MILLISECONDS}\n\n"
     told = ""
     spoke = time.monotonic()
     while True:
@@ -177,7 +167,7 @@ async def _stream(studies: Studies, identifier: str) -> AsyncIterator[str]:
             yield f"event: study\ndata: {data}\n\n"
         if study.is_final:
             return
-        if time.monotonic() - spoke > HEARTBEAT_SECONDS:
+        if time.monotonic() - spoke > streams.HEARTBEAT_SECONDS:
             spoke = time.monotonic()
             yield ": still here\n\n"
         await anyio.sleep(POLL_SECONDS)

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Any
+from typing import Annotated
 
 from fastapi import APIRouter, BackgroundTasks, Depends, Query, Request, Response
 
 from api.http.auth import Read, Submitting, Write
-from api.http.bodies import PostedCaseBody
+from api.http.bodies import PostedCaseBody, body_named
 from api.http.conditions import CHANGED, UNCHANGED, IfMatch, IfNoneMatch, document, require_match
 from api.http.deps import RETRY_AFTER, Served, Services, StudyIdentifier, location
 from api.http.errors import ApiError
@@ -17,21 +17,14 @@ from api.simulations.automatic import STUDY_WITH_DELIVER, WantedDeliveries, requ
 from api.simulations.retention import AskedRetention
 from api.simulations.service import chosen_queue
 from api.studies import results
-from api.studies.checking import check
 from api.studies.resources import StudyEstimate, StudyPage, StudyResource, study_path, study_resource
+from api.studies.service import check
 from simcore.study import StudySpec, columns
 from worker.contract import Device, Priority, State
 from worker.records.studies import Study
 
 SENT_AT_ONCE = 10
 """Messages that follow the answer to a new study; the sweep sends the others, so that no request waits for them."""
-
-_BODY: dict[str, Any] = {
-    "requestBody": {
-        "required": True,
-        "content": {"application/json": {"schema": {"$ref": "#/components/schemas/StudySpec"}}},
-    }
-}
 
 router = APIRouter(prefix="/studies", tags=["studies"], route_class=IdempotentRoute)
 
@@ -87,7 +80,7 @@ def create(
     return study_resource(row, served.studies.document(row.id))
 
 
-@router.post("/estimate", openapi_extra=_BODY)
+@router.post("/estimate", openapi_extra=body_named("StudySpec"))
 def estimate_needs(caller: Read, study: PostedStudy, served: Served) -> StudyEstimate:
     """What a study would need; nothing is kept."""
     return check(study, served).needs

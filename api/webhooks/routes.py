@@ -8,9 +8,9 @@ from typing import Annotated, Any
 from fastapi import APIRouter, Depends, Request, Response
 
 from api.http.auth import Write
-from api.http.bodies import body_of, posted
+from api.http.bodies import body_of
 from api.http.conditions import CHANGED, UNCHANGED, IfMatch, IfNoneMatch, document, require_match
-from api.http.deps import Identifier, Served, location, services
+from api.http.deps import Identifier, Served, location
 from api.http.errors import ApiError
 from api.http.idempotency import IdempotentRoute, Making
 from api.http.pages import AskedPage
@@ -25,26 +25,12 @@ from api.webhooks.resources import (
     webhook_path,
     webhook_resource,
 )
+from api.webhooks.service import new_webhook
 from worker.records.rows import NotFoundError, StateError
-from worker.upkeep import outbound
 
 MAX_WEBHOOKS = 100
 
 router = APIRouter(prefix="/webhooks", tags=["webhooks"], route_class=IdempotentRoute)
-
-
-async def _new_webhook(request: Request) -> NewWebhook:
-    new = await posted(request, NewWebhook)
-    hosts = services(request).settings.webhook_private_host_names
-    try:
-        url = outbound.check_url(new.url, hosts)
-        await outbound.resolve(url, hosts)
-    except outbound.RefusedAddressError as error:
-        item = {"pointer": "/url", "value": new.url[:200], "detail": str(error)}
-        raise ApiError(422, "invalid-request", str(error), errors=[item], reason=error.code) from None
-    except OSError:
-        pass  # a name that is not known yet, or not now: sending will tell
-    return new
 
 
 def _message_identifier(message_id: str) -> str:
@@ -59,7 +45,7 @@ MessageIdentifier = Annotated[str, Depends(_message_identifier)]
 @router.post("", status_code=201, openapi_extra=body_of(NewWebhook))
 def create(
     caller: Write,
-    new: Annotated[NewWebhook, Depends(_new_webhook)],
+    new: Annotated[NewWebhook, Depends(new_webhook)],
     served: Served,
     making: Making,
     request: Request,
