@@ -1,0 +1,1 @@
+"""/v1/deliveries: cases on their way to a destination."""

@@ -1,0 +1,1 @@
+"""/v1/destinations: archives and workstations that cases can be sent to."""

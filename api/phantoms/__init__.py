@@ -1,0 +1,1 @@
+"""/v1/phantoms: label volumes of one's own."""

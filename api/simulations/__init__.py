@@ -1,0 +1,1 @@
+"""/v1/simulations: cases and their files."""

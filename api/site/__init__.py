@@ -1,0 +1,1 @@
+"""What is no resource: the page, presets and schemas, the reference, health, metrics."""

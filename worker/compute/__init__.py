@@ -1,0 +1,1 @@
+"""Simulating: the Celery worker, its slots, and the compute process of each."""

@@ -10,6 +10,7 @@ import logging
 import queue
 import threading
 import time
+import uuid
 from collections.abc import Callable
 from typing import Any
 
@@ -45,7 +46,6 @@ class Slot:
         self.stopping = stopping
         self._store = open_store(settings)
         self._process: ComputeProcess | None = None
-        self._claims = 0
 
     def warm_up(self) -> ComputeProcess:
         """The compute process, started where there is none."""
@@ -67,8 +67,8 @@ class Slot:
         if self.stopping.is_set():
             self.jobs.mark_unsent(identifier)
             return
-        self._claims += 1
-        owner = f"{self.name}/{self._claims}"
+        # Never the same again: in a container a worker that starts anew has the name of the one before.
+        owner = f"{self.name}/{uuid.uuid4().hex[:16]}"
         job = outlast(lambda: self.jobs.claim(identifier, owner), self.stopping.is_set)
         if job is None:
             log.info("not queued: message ignored", extra={"simulation": identifier})

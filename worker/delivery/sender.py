@@ -5,6 +5,7 @@ from __future__ import annotations
 import logging
 import threading
 import time
+import uuid
 from collections.abc import Callable
 
 from sqlalchemy.exc import SQLAlchemyError
@@ -44,12 +45,10 @@ class Sender:
         self.stopping = stopping
         self.reports = Reports()
         self._tools = Tools(settings, deliveries, store, self.reports)
-        self._claims = 0
 
     def run(self, identifier: str) -> None:
         """Carries out a queued delivery. Does nothing where it is not due, or its destination is taken."""
-        self._claims += 1
-        owner = f"{self.name}/{self._claims}"
+        owner = f"{self.name}/{uuid.uuid4().hex[:16]}"  # never the same again, as in compute.supervisor
         row = None if self.stopping.is_set() else self._outlast(lambda: self.deliveries.claim(identifier, owner))
         if row is None:
             self.deliveries.mark_unsent(identifier)  # the sweep sends it when it is due

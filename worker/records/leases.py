@@ -116,7 +116,10 @@ class Leases(Repository, Generic[Row]):
     # What workers do
 
     def claim(self, identifier: str, owner: str) -> Row | None:
-        """Makes ``owner`` the one worker of a queued row; None where it is not queued (any more)."""
+        """Makes ``owner`` the one worker of a queued row; None where it is not queued (any more).
+
+        owner: a name that nobody uses for another claim, so that one whose answer was lost can be made again.
+        """
         now = self.clock()
         values = {
             **self.no_progress,

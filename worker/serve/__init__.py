@@ -1,0 +1,1 @@
+"""Processes: started and ended together, with the broker that comes along."""

@@ -1,0 +1,1 @@
+"""What is done again and again: lost work found, webhooks told, garbage collected."""

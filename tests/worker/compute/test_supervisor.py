@@ -266,6 +266,16 @@ def test_a_case_taken_by_another_worker_is_let_go(slot, jobs):
     assert jobs.get(identifier).state == "running"
 
 
+def test_a_worker_that_starts_anew_does_not_take_what_its_namesake_had(slot, jobs):
+    """In a container every worker has the same name; a message that comes again must not be taken for its own."""
+    identifier = queue(jobs, "fine")
+    assert jobs.claim(identifier, f"{slot.name}/1")
+    slot.run(identifier)
+    row = jobs.get(identifier)
+    assert (row.state, row.owner, row.attempt) == ("running", f"{slot.name}/1", 1)
+    jobs.cancel(identifier)
+
+
 def test_late_and_double_messages_do_nothing(slot, jobs):
     identifier = queue(jobs, "fine")
     slot.run(identifier)
