@@ -14,7 +14,7 @@ from pydantic import SecretStr
 from api.app import create_app
 from worker.settings import Settings
 
-from .chromium import Browser
+from ..chromium import Browser
 
 ADMIN_KEY = "tsk_admin_" + "k" * 40
 
