@@ -37,7 +37,7 @@ def export(
     tomosynthesis.dcm         Breast Tomosynthesis Image, one frame a slice; real world values in 1/mm
     labels.dcm                Label Map Segmentation, RLE: ``compressed`` (support frame) at the voxels of the volume
     lesions.dcm               Segmentation, one segment a lesion; left out where the volume holds none
-    truth.csv, file_paths.csv the lesions as boxes, and the volume they belong to; see simcore.dicom.truth_table
+    truth.csv, file_paths.csv the lesions as boxes, and the volume they belong to; see simcore.dicom.objects.truth_table
     and what spec.extra_objects asks for; see simcore.dicom.extras
 
     open_file: opens a file of an object for writing.

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable
 
-from simcore.dicom import attenuation_map, ct, presentation, report, synthetic_2d
 from simcore.dicom.common import Instance
+from simcore.dicom.objects import attenuation_map, ct, presentation, report, synthetic_2d
 from simcore.dicom.study import Study
 
 Files = Iterable[tuple[str, Callable[[], Instance]]]

@@ -12,22 +12,22 @@ from numpy.typing import NDArray
 from simcore.core.artifacts import Compression, Phantom, ProjectionStack, Volume
 from simcore.core.errors import ExportError
 from simcore.core.progress import Progress, part
-from simcore.dicom.breast_projection import breast_projection_image
 from simcore.dicom.common import Instance, write
 from simcore.dicom.content import array_digest
 from simcore.dicom.exported import ExportedStudy
 from simcore.dicom.extras import EXTRAS
 from simcore.dicom.identity import CaseDescription, Identifiers, content_root
-from simcore.dicom.lesion_segmentation import lesion_segmentation
 from simcore.dicom.lesions import find_lesions
 from simcore.dicom.limits import MAX_BYTES
-from simcore.dicom.mammography import mammography_image
+from simcore.dicom.objects.breast_projection import breast_projection_image
+from simcore.dicom.objects.lesion_segmentation import lesion_segmentation
+from simcore.dicom.objects.mammography import mammography_image
+from simcore.dicom.objects.segmentation import label_map
+from simcore.dicom.objects.tomosynthesis import tomosynthesis_image
+from simcore.dicom.objects.truth_table import path_table, reader_notes, truth_table
 from simcore.dicom.resampling import Lookup, nearest, sample
-from simcore.dicom.segmentation import label_map
 from simcore.dicom.spec import ExportSpec
 from simcore.dicom.study import Study, breast_window
-from simcore.dicom.tomosynthesis import tomosynthesis_image
-from simcore.dicom.truth_table import path_table, reader_notes, truth_table
 
 TRUTH_TABLE = "truth.csv"
 PATH_TABLE = "file_paths.csv"

@@ -14,8 +14,8 @@ from simcore.core.progress import Progress, silent
 from simcore.core.tissues import MAX_TISSUES, Tissue
 from simcore.phantom.upload import lesions, paddle, pieces, tissue_maps, wall
 from simcore.phantom.upload.anatomy import Anatomy
-from simcore.phantom.upload.decoding import blocks, read_header
-from simcore.phantom.upload.header import Header
+from simcore.phantom.upload.formats.decoding import blocks, read_header
+from simcore.phantom.upload.formats.header import Header
 from simcore.phantom.upload.paddle import refused
 from simcore.phantom.upload.pieces import Box
 from simcore.phantom.upload.spec import Axes, UploadedPhantom

@@ -9,8 +9,8 @@ from pydantic import Field, ValidationError
 
 from simcore.core.errors import SpecError
 from simcore.core.spec_base import Spec
-from simcore.phantom.upload.decoding import begins_with_gzip
-from simcore.phantom.upload.header import Encoding, Header
+from simcore.phantom.upload.formats.decoding import begins_with_gzip
+from simcore.phantom.upload.formats.header import Encoding, Header
 from simcore.phantom.upload.spec import OWN_AXES, Axes, Count, Edge
 from simcore.phantom.upload.tissue_maps import TissueMap
 

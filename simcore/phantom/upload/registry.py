@@ -21,9 +21,9 @@ from simcore.core.store import FileRef, Store, canonical
 from simcore.core.tissues import Tissue
 from simcore.phantom.upload import segments, tissue_maps, wall
 from simcore.phantom.upload.anatomy import Anatomy
-from simcore.phantom.upload.decoding import read_header
-from simcore.phantom.upload.header import Edges, Header, reason, refuse
-from simcore.phantom.upload.joining import join, two_files
+from simcore.phantom.upload.formats.decoding import read_header
+from simcore.phantom.upload.formats.header import Edges, Header, reason, refuse
+from simcore.phantom.upload.formats.joining import join, two_files
 from simcore.phantom.upload.loading import survey
 from simcore.phantom.upload.paddle import not_compressed, refused
 from simcore.phantom.upload.reading import Reading

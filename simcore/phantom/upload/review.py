@@ -12,7 +12,7 @@ from simcore.core.errors import SpecError
 from simcore.core.tissues import Tissue
 from simcore.phantom.upload import lesions, pieces, tissue_maps, wall
 from simcore.phantom.upload.anatomy import COVER, Anatomy
-from simcore.phantom.upload.header import Edges
+from simcore.phantom.upload.formats.header import Edges
 from simcore.phantom.upload.loading import DENSE, Survey, cut_box
 from simcore.phantom.upload.paddle import refused
 from simcore.phantom.upload.spec import Axes

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from simcore.core.errors import SpecError
 from simcore.phantom.upload import tissue_maps
-from simcore.phantom.upload.header import Header, refuse
+from simcore.phantom.upload.formats.header import Header, refuse
 
 WHOLE_WITHIN = 1e-6
 _NIFTI_REMEDY = (

@@ -17,10 +17,10 @@ from pydicom.pixels import pixel_array
 from simcore.core.artifacts import Phantom, Volume
 from simcore.core.errors import ExportError
 from simcore.core.grid import Grid
-from simcore.dicom.ct import water_per_mm
 from simcore.dicom.display import AIR, display_view, hung, synthetic_view
 from simcore.dicom.extras import EXTRAS
 from simcore.dicom.lesions import find_lesions
+from simcore.dicom.objects.ct import water_per_mm
 from simcore.dicom.spec import ExportSpec
 from simcore.projection import PhysicsSpec, attenuation_per_mm
 
@@ -347,6 +347,6 @@ def test_a_mass_around_its_own_centre_and_one_that_broke_off() -> None:
 
 
 def test_segments_that_no_element_holds(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("simcore.dicom.lesion_segmentation.MAX_BYTES", 1000)
+    monkeypatch.setattr("simcore.dicom.objects.lesion_segmentation.MAX_BYTES", 1000)
     with pytest.raises(ExportError, match=r"3 lesions hold \d+ bytes in 7 frames; .* at most 1000: use thicker slices"):
         make_case(lesions=True).export(tmp_path)

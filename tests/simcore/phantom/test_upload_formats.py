@@ -13,9 +13,9 @@ import numpy as np
 import pytest
 
 from simcore.core.errors import SpecError
-from simcore.phantom.upload.decoding import blocks, read_header
-from simcore.phantom.upload.header import Header
-from simcore.phantom.upload.joining import join, two_files
+from simcore.phantom.upload.formats.decoding import blocks, read_header
+from simcore.phantom.upload.formats.header import Header
+from simcore.phantom.upload.formats.joining import join, two_files
 from simcore.phantom.upload.reading import RawHeader, Reading
 from simcore.phantom.upload.values import labels_of
 
@@ -196,7 +196,7 @@ def test_a_bomb_is_never_unpacked_beyond_what_its_header_announces(monkeypatch: 
             return getattr(self.inner, name)
 
     data = made.as_nrrd(np.zeros((2000, 200, 200), "u1")).replace(b"200 200 2000", b"200 200 30")
-    monkeypatch.setattr("simcore.phantom.upload.decoding.zlib.decompressobj", Counting)
+    monkeypatch.setattr("simcore.phantom.upload.formats.decoding.zlib.decompressobj", Counting)
     with pytest.raises(SpecError, match="holds more"):
         read(data)
     assert sum(unpacked) <= 1_200_000 + 2**20

@@ -18,10 +18,11 @@ import pytest
 from simcore import estimate, phantom
 from simcore.core.errors import ResourceLimitError, SpecError
 from simcore.core.store import Store
-from simcore.phantom.upload import decoding, registry
-from simcore.phantom.upload.decoding import blocks, read_header
-from simcore.phantom.upload.header import Header
-from simcore.phantom.upload.joining import join, two_files
+from simcore.phantom.upload import registry
+from simcore.phantom.upload.formats import decoding
+from simcore.phantom.upload.formats.decoding import blocks, read_header
+from simcore.phantom.upload.formats.header import Header
+from simcore.phantom.upload.formats.joining import join, two_files
 from simcore.phantom.upload.reading import Reading
 from simcore.phantom.upload.spec import UploadedPhantom
 from simcore.phantom.upload.values import labels_of

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from simcore.core.errors import SpecError
-from simcore.phantom.upload.header import (
+from simcore.phantom.upload.formats.header import (
     Edges,
     Encoding,
     Header,
@@ -22,10 +22,10 @@ from simcore.phantom.upload.header import (
     refuse,
     whole_number,
 )
-from simcore.phantom.upload.layers import volume_axes
-from simcore.phantom.upload.orientation import axes_or_own, axes_without_patient
+from simcore.phantom.upload.formats.layers import volume_axes
+from simcore.phantom.upload.formats.orientation import axes_or_own, axes_without_patient
+from simcore.phantom.upload.formats.units import mm_per
 from simcore.phantom.upload.spec import OWN_AXES, Axes
-from simcore.phantom.upload.units import mm_per
 
 MAGIC = b"NRRD000"
 DATA_FILE = ("data file", "datafile")

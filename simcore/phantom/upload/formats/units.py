@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from simcore.phantom.upload.header import refuse
+from simcore.phantom.upload.formats.header import refuse
 
 _NAMES = {
     1.0: ("mm", "millimeter", "millimeters", "millimetre", "millimetres", "", "?", "unknown"),

@@ -13,7 +13,7 @@ from pydicom.uid import (
 
 from simcore.dicom.common import Instance, code, item, items, set_pixels, window
 from simcore.dicom.display import DISPLAY_BITS, display_view, display_window, hung
-from simcore.dicom.mammography import describe_view
+from simcore.dicom.objects.mammography import describe_view
 from simcore.dicom.study import MAMMOGRAPHY, PRESENTATION, Study
 
 

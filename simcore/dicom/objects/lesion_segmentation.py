@@ -14,7 +14,7 @@ from simcore.core.errors import ExportError
 from simcore.dicom.common import Instance, dimensions, functional_groups, item, items
 from simcore.dicom.lesions import Lesion
 from simcore.dicom.limits import MAX_BYTES
-from simcore.dicom.segmentation import derivation, describe, segment
+from simcore.dicom.objects.segmentation import derivation, describe, segment
 from simcore.dicom.study import LESIONS, Study, plane_groups
 
 SOP_CLASS = SegmentationStorage

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from simcore.core.errors import SpecError
-from simcore.phantom.upload.header import refuse
+from simcore.phantom.upload.formats.header import refuse
 
 
 def volume_axes(sizes: Sequence[int], lists: Sequence[int] = ()) -> list[int]:

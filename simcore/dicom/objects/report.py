@@ -11,10 +11,10 @@ from pydicom.uid import BreastTomosynthesisImageStorage, Comprehensive3DSRStorag
 
 from simcore.dicom.common import MODEL, Instance, code, item, items
 from simcore.dicom.identity import IMPLEMENTATION_UID
-from simcore.dicom.lesion_segmentation import SOP_CLASS as SEGMENTATION
-from simcore.dicom.lesion_segmentation import shown_lesions
 from simcore.dicom.lesions import Lesion
-from simcore.dicom.segmentation import property_type
+from simcore.dicom.objects.lesion_segmentation import SOP_CLASS as SEGMENTATION
+from simcore.dicom.objects.lesion_segmentation import shown_lesions
+from simcore.dicom.objects.segmentation import property_type
 from simcore.dicom.study import LESIONS, REPORT, TOMOSYNTHESIS, Study
 from simcore.dicom.values import decimal
 

@@ -13,9 +13,9 @@ from pydicom.uid import ParametricMapStorage
 
 from simcore.core.errors import ExportError
 from simcore.dicom.common import Instance, code, dimensions, functional_groups, item, items
+from simcore.dicom.objects.segmentation import describe
 from simcore.dicom.pixels import MadeFrames
 from simcore.dicom.resampling import sample
-from simcore.dicom.segmentation import describe
 from simcore.dicom.study import ATTENUATION, Study, frame_anatomy, plane_groups, source_volume
 
 IMAGE_TYPE = ["DERIVED", "PRIMARY", "VOLUME", "NONE"]

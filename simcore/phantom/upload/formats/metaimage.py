@@ -8,7 +8,7 @@ from functools import partial
 import numpy as np
 
 from simcore.core.errors import SpecError
-from simcore.phantom.upload.header import (
+from simcore.phantom.upload.formats.header import (
     Edges,
     Header,
     attempt,
@@ -19,10 +19,10 @@ from simcore.phantom.upload.header import (
     refuse,
     whole_number,
 )
-from simcore.phantom.upload.layers import volume_axes
-from simcore.phantom.upload.orientation import axes_or_own
+from simcore.phantom.upload.formats.layers import volume_axes
+from simcore.phantom.upload.formats.orientation import axes_or_own
+from simcore.phantom.upload.formats.units import mm_per
 from simcore.phantom.upload.spec import OWN_AXES, Axes
-from simcore.phantom.upload.units import mm_per
 
 TYPES = {
     "i1": ("MET_CHAR",),

@@ -22,9 +22,9 @@ from simcore.dicom.common import (
     window,
 )
 from simcore.dicom.display import DISPLAY_BITS, display_window, hung, synthetic_view
-from simcore.dicom.presentation import set_display
+from simcore.dicom.objects.presentation import set_display
+from simcore.dicom.objects.tomosynthesis import describe_tomosynthesis
 from simcore.dicom.study import SYNTHETIC_2D, Study, frame_anatomy, source_volume
-from simcore.dicom.tomosynthesis import describe_tomosynthesis
 from simcore.dicom.values import decimal
 
 IMAGE_TYPE = ["DERIVED", "PRIMARY", "TOMOSYNTHESIS", "GENERATED_2D"]

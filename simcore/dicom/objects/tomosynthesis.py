@@ -8,7 +8,6 @@ from pydicom.uid import BreastTomosynthesisImageStorage
 
 from simcore.core.artifacts import Volume
 from simcore.core.grid import Grid
-from simcore.dicom import breast_projection
 from simcore.dicom.common import (
     MANUFACTURER,
     MODEL,
@@ -23,6 +22,7 @@ from simcore.dicom.common import (
     window,
 )
 from simcore.dicom.geometry import PATIENT_TO_GANTRY
+from simcore.dicom.objects import breast_projection
 from simcore.dicom.study import (
     BREAST_PROJECTION,
     SERIES_NUMBERS,

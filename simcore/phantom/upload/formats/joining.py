@@ -10,9 +10,9 @@ from pathlib import Path, PureWindowsPath
 from typing import IO
 
 from simcore.core.errors import SpecError
-from simcore.phantom.upload import metaimage, nrrd
-from simcore.phantom.upload.decoding import PIECE, begins_with_gzip, seek_voxels
-from simcore.phantom.upload.header import HEAD_BYTES, MAX_FIELD, MAX_HEADER_BYTES, Header, refuse
+from simcore.phantom.upload.formats import metaimage, nrrd
+from simcore.phantom.upload.formats.decoding import PIECE, begins_with_gzip, seek_voxels
+from simcore.phantom.upload.formats.header import HEAD_BYTES, MAX_FIELD, MAX_HEADER_BYTES, Header, refuse
 
 _LIST = re.compile(r"LIST(\s+\d+[dD]?)?")
 _PATTERN = re.compile(r".*%\d*d.*\s-?\d+\s+-?\d+\s+-?\d+(\s+\d+)?")

@@ -12,8 +12,8 @@ from typing import IO, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from simcore.phantom.upload import foreign, metaimage, nifti, nrrd
-from simcore.phantom.upload.header import HEAD_BYTES, MAX_HEADER_BYTES, Encoding, Header, refuse
+from simcore.phantom.upload.formats import foreign, metaimage, nifti, nrrd
+from simcore.phantom.upload.formats.header import HEAD_BYTES, MAX_HEADER_BYTES, Encoding, Header, refuse
 
 PIECE = 1 << 20
 """Bytes that are read or unpacked at a time."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from simcore.phantom.upload.header import refuse
+from simcore.phantom.upload.formats.header import refuse
 from simcore.phantom.upload.spec import OWN_AXES, Axes
 
 MAX_TILT_DEGREES = 2.5

@@ -12,11 +12,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from simcore.core.errors import SpecError
-from simcore.phantom.upload.header import Edges, Header, attempt, checked_shape, checked_spacing, refuse
-from simcore.phantom.upload.layers import volume_axes
-from simcore.phantom.upload.orientation import axes_of, nearest_axes
+from simcore.phantom.upload.formats.header import Edges, Header, attempt, checked_shape, checked_spacing, refuse
+from simcore.phantom.upload.formats.layers import volume_axes
+from simcore.phantom.upload.formats.orientation import axes_of, nearest_axes
+from simcore.phantom.upload.formats.units import mm_per
 from simcore.phantom.upload.spec import OWN_AXES, Axes
-from simcore.phantom.upload.units import mm_per
 
 _DTYPES = {
     2: "u1",

@@ -1,0 +1,1 @@
+"""The files that labels come in: headers, units, orientation and voxels of NRRD, MetaImage, NIfTI and raw data."""
