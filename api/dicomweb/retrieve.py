@@ -21,16 +21,7 @@ from api.dicomweb.accept import (
     choose_pixels,
     not_acceptable,
 )
-from api.dicomweb.common import (
-    FrameList,
-    Indexing,
-    InstanceUID,
-    SeriesUID,
-    StudyUID,
-    find,
-    require_files,
-    resource_url,
-)
+from api.dicomweb.common import FrameList, Indexing, InstanceUID, SeriesUID, StudyUID, find, require_files, resource_url
 from api.dicomweb.frames import Frames, uncompressed_head
 from api.dicomweb.metadata import bulk_value, is_pixel_data, metadata_json
 from api.dicomweb.multipart import Part, multipart_response, single_response

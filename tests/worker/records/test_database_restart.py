@@ -19,6 +19,8 @@ CASES = 24
 RESTARTS = 10
 THREADS = {"reaper", "courier", "garbage", "dicom-indexer"}
 
+LOCAL = {"base_url": "http://127.0.0.1", "client": ("127.0.0.1", 50000), "raise_server_exceptions": False}
+
 pytestmark = pytest.mark.needs_postgresql
 
 
@@ -59,6 +61,26 @@ def start(children, tmp_path):
     return start_process
 
 
+class Asker:
+    """Asks the API all the time, in a thread of its own; which status codes it answers."""
+
+    def __init__(self, client):
+        self.client = client
+        self.statuses = set()
+        self.stopping = threading.Event()
+        self.thread = threading.Thread(target=self.run)
+        self.thread.start()
+
+    def run(self):
+        while not self.stopping.wait(0.02):
+            self.statuses.add(self.client.get("/v1/simulations?limit=1").status_code)
+
+    def stop(self):
+        self.stopping.set()
+        self.thread.join(30.0)
+        return self.statuses
+
+
 @pytest.mark.embedded
 def test_ten_restarts_under_running_cases(make_service_settings, own_postgres, start, tmp_path):
     server, url = own_postgres
@@ -69,23 +91,25 @@ def test_ten_restarts_under_running_cases(make_service_settings, own_postgres, s
         start([sys.executable, "-m", "worker"], settings, f"worker{number}")
     engine = connect(url)
     jobs = Jobs(engine)
-    with TestClient(create_app(settings), base_url="http://127.0.0.1", client=("127.0.0.1", 50000)) as client:
+    with TestClient(create_app(settings), **LOCAL) as client:
         wait_for(lambda: Fleet(engine).alive() == 2)
         for number in range(CASES):
             answer = client.post("/v1/simulations", json={"name": "brief", "seed": number})
             assert answer.status_code == 202, answer.text
         wait_for(lambda: jobs.counts().get("running"))
+        asker = Asker(client)
         for number in range(RESTARTS):
             server.stop(signal.SIGQUIT if number % 2 else signal.SIGINT)
             server.start()
             time.sleep(0.7)
+        assert asker.stop() == {200, 503}
         wait_for(lambda: not {"queued", "running"} & set(jobs.counts()), 60.0)
         errors = [(row.id, row.error) for row in jobs.page(100) if row.error]
         assert errors == []
         assert jobs.counts() == {"succeeded": CASES}
         assert {thread.name for thread in threading.enumerate()} >= THREADS
-        time.sleep(4.0)
-        assert Fleet(engine).alive(4.0) == 2  # the heartbeats go on
+        now = time.time()
+        wait_for(lambda: Fleet(engine).alive(time.time() - now) == 2)  # the heartbeats go on
     engine.dispose()
 
 
@@ -162,7 +186,7 @@ def test_a_claim_whose_answer_was_lost_is_made_again(make_service_settings, own_
 def test_the_api_says_503_while_the_database_is_away(make_service_settings, own_postgres, is_unavailable):
     server, _ = own_postgres
     app = create_app(make_service_settings(), sweep=False)
-    with TestClient(app, base_url="http://127.0.0.1", client=("127.0.0.1", 50000)) as client:
+    with TestClient(app, **LOCAL) as client:
         for how in (signal.SIGINT, signal.SIGQUIT):
             assert client.get("/v1/simulations").status_code == 200
             server.stop(how)
