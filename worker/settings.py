@@ -305,16 +305,16 @@ def _from_files() -> dict[str, str]:
 
     raises: SettingsError where one cannot be read
     """
-    found = {}
+    secrets = {}
     for name in SECRETS:
         variable = ENV_PREFIX + name.upper()
         path = os.environ.get(f"{variable}_FILE")
         if path and not os.environ.get(variable):
             try:
-                found[name] = Path(path).read_text().strip()
+                secrets[name] = Path(path).read_text().strip()
             except (OSError, UnicodeDecodeError) as error:
                 raise SettingsError(f"{variable}_FILE = {path!r} cannot be read: {error}") from None
-    return found
+    return secrets
 
 
 def is_loopback(host: str) -> bool:

@@ -55,8 +55,8 @@ def create(
     if row is None:
         destination = find_destination(served, new.destination, "/destination")
         items = items_of_study(served, new) if new.study_id else items_of_case(served, new)
-        wanted = DeliveryRequest(destination.id, items, simulation_id=new.simulation_id, study_id=new.study_id)
-        row = served.deliveries.create(wanted, making.identifier)
+        delivery = DeliveryRequest(destination.id, items, simulation_id=new.simulation_id, study_id=new.study_id)
+        row = served.deliveries.create(delivery, making.identifier)
         served.send(served.deliveries, row)
     response.headers.update({**location(request, delivery_path(row.id)), **RETRY_AFTER})
     return delivery_resource(row, served.deliveries.instances(row.id, limit=SHOWN_INSTANCES))

@@ -49,11 +49,11 @@ def _of_series(served: Services, items: list[Item], series: list[str]) -> list[I
     """Those of the items that belong to these series. raises: ApiError 422 naming a series that is not there"""
     from worker.delivery.files import read_series
 
-    found = {item.name: read_series(served.store.path(FileRef(item.sha256, item.size))) for item in items}
+    series_of = {item.name: read_series(served.store.path(FileRef(item.sha256, item.size))) for item in items}
     for wanted in series:
-        if wanted not in found.values():
-            known = ", ".join(sorted(set(filter(None, found.values()))))
+        if wanted not in series_of.values():
+            known = ", ".join(sorted(set(filter(None, series_of.values()))))
             detail = f"the case has no series {wanted[:80]!r}; it has: {known}"
             error = {"pointer": f"/series/{series.index(wanted)}", "value": wanted[:80], "detail": detail}
             raise ApiError(422, "invalid-request", detail, errors=[error])
-    return [item for item in items if found[item.name] in series]
+    return [item for item in items if series_of[item.name] in series]

@@ -46,12 +46,12 @@ async def _changes(request: Request) -> dict[str, Any]:
         raise ApiError(415, "unsupported-media-type", f"Content-Type = {kind!r}: the body must be {MERGE_PATCH}")
     text = await read_body(request, services(request).settings.body_limit_bytes)
     try:
-        found = json.loads(text)
+        document = json.loads(text)
     except ValueError as error:
         raise ApiError(422, "invalid-request", f"the body is not JSON: {error}") from None
-    if not isinstance(found, dict):
+    if not isinstance(document, dict):
         raise ApiError(422, "invalid-request", "the body must be an object with the fields that change")
-    return found
+    return document
 
 
 @router.post("", status_code=201, openapi_extra=body_of(Destination))

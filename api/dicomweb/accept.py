@@ -69,11 +69,11 @@ def parse(header: str) -> list[MediaRange]:
     ranges = []
     position = 0
     while position < len(header):
-        found = _TYPE.match(header, position)
-        if found is None:
+        match = _TYPE.match(header, position)
+        if match is None:
             position += 1
             continue
-        position = found.end()
+        position = match.end()
         parameters: dict[str, str] = {}
         while parameter := _PARAMETER.match(header, position):
             position = parameter.end()
@@ -82,7 +82,7 @@ def parse(header: str) -> list[MediaRange]:
             parameters.setdefault(parameter[1].lower(), value.strip())
         end = header.find(",", position)
         position = len(header) if end < 0 else end + 1
-        ranges.append(_range(found[1].lower(), parameters))
+        ranges.append(_range(match[1].lower(), parameters))
     acceptable = [r for r in ranges if r.quality > 0]
     return sorted(acceptable, key=lambda r: -r.quality)
 
@@ -123,10 +123,10 @@ def choose_dicom(request: Request, syntaxes: set[str], count: int) -> Representa
         multipart = accepted.multipart or accepted.type in ("*/*", "*", "application/*")
         if not accepted.covers(DICOM) or (not multipart and count > 1):
             continue
-        wanted = accepted.transfer_syntax or DEFAULT_SYNTAX
-        if wanted == "*" or syntaxes == {wanted}:
+        syntax = accepted.transfer_syntax or DEFAULT_SYNTAX
+        if syntax == "*" or syntaxes == {syntax}:
             return Representation(DICOM, multipart, stored=True)
-        if wanted == DEFAULT_SYNTAX:
+        if syntax == DEFAULT_SYNTAX:
             return Representation(DICOM, multipart, stored=False)
     single = f", {DICOM}" if count == 1 else ""
     raise not_acceptable(f'{RELATED}; type="{DICOM}"{single}, with transfer-syntax={DEFAULT_SYNTAX} (default) or *')

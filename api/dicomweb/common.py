@@ -52,8 +52,8 @@ InstanceUID = Annotated[str, Depends(_instance)]
 
 def indexer(request: Request) -> Indexer:
     """The one that fills the index of this application."""
-    found: Indexer = request.app.state.dicom_indexer
-    return found
+    running: Indexer = request.app.state.dicom_indexer
+    return running
 
 
 def reader(caller: Read) -> None:
@@ -90,16 +90,16 @@ def resource_url(request: Request, study: str, series: str | None = None, instan
 
 def find(indexing: Indexer, study: str, series: str | None = None, instance: str | None = None) -> list[Instance]:
     """The objects of a resource. raises: ApiError 404 where there is none, ExpiredError (410)"""
-    found: list[Instance] = []
+    objects: list[Instance] = []
     with suppress(ExpiredError):
-        found = indexing.index.instances(study, series, instance)
-    if not found:
+        objects = indexing.index.instances(study, series, instance)
+    if not objects:
         indexing.catch_up()  # of a case that has just succeeded
-        found = indexing.index.instances(study, series, instance)
-    if not found:
+        objects = indexing.index.instances(study, series, instance)
+    if not objects:
         kind = "instance" if instance else "series" if series else "study"
         raise ApiError(404, f"{kind}-not-found", f"there is no {kind} {instance or series or study}")
-    return found
+    return objects
 
 
 def require_files(served: Services, found: list[Instance]) -> None:

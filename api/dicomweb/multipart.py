@@ -64,14 +64,14 @@ def single_response(request: Request, part: Part, tag: str) -> Response:
         return Response(status_code=304, headers=headers)
     if part.location is not None:
         headers["Content-Location"] = part.location
-    asked = None
+    span = None
     if request.headers.get("if-range", headers["ETag"]) == headers["ETag"]:
-        asked = byte_range(request.headers.get("range"), size)
-    first, length = asked or (0, size)
+        span = byte_range(request.headers.get("range"), size)
+    first, length = span or (0, size)
     headers["Content-Length"] = str(length)
-    if asked is not None:
+    if span is not None:
         headers["Content-Range"] = f"bytes {first}-{first + length - 1}/{size}"
-    status = 206 if asked is not None else 200
+    status = 206 if span is not None else 200
     if request.method == "HEAD":
         return Response(status_code=status, headers=headers, media_type=part.content_type)
     return StreamingResponse(part.chunks(first, length), status, headers, media_type=part.content_type)

@@ -98,12 +98,12 @@ def _add(query: Query, keyword: str, values: list[str]) -> None:
     query.include.add(_hexadecimal(keyword))
     if key.kind != "uid" and any(len(value) > MAX_VALUE for value in values):
         raise bad_query(keyword, max(values, key=len), f"at most {MAX_VALUE} characters")
-    wanted = [part for value in values for part in _split(keyword, key, value)]
-    if not wanted or any(part.strip("*") == "" for part in wanted):
+    parts = [part for value in values for part in _split(keyword, key, value)]
+    if not parts or any(part.strip("*") == "" for part in parts):
         return
-    if len(wanted) > MAX_VALUES:
-        raise bad_query(keyword, f"{len(wanted)} values", f"at most {MAX_VALUES} values")
-    query.conditions.append(_condition(keyword, key, wanted))
+    if len(parts) > MAX_VALUES:
+        raise bad_query(keyword, f"{len(parts)} values", f"at most {MAX_VALUES} values")
+    query.conditions.append(_condition(keyword, key, parts))
 
 
 def _split(keyword: str, key: Key, value: str) -> list[str]:

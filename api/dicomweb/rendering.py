@@ -187,11 +187,11 @@ def _region(array: NDArray[Any], viewport: Viewport | None) -> NDArray[Any]:
 
 def _window(text: str) -> Window:
     allowed = "centre,width or centre,width,function with width > 0 and function linear, linear-exact or sigmoid"
-    found = _WINDOW.fullmatch(text)
-    if found is None:
+    match = _WINDOW.fullmatch(text)
+    if match is None:
         raise bad_query("window", text, allowed)
-    function = _FUNCTIONS.get((found[3] or "linear").lower().replace("_", "-"))
-    centre, width = float(found[1]), float(found[2])
+    function = _FUNCTIONS.get((match[3] or "linear").lower().replace("_", "-"))
+    centre, width = float(match[1]), float(match[2])
     if function is None or width <= 0 or (function == "LINEAR" and width < 1):
         raise bad_query("window", text, allowed + "; for linear the width is 1 or more")
     return Window(centre, width, function)
@@ -224,8 +224,8 @@ def _frame_look(dataset: Dataset, shared: Dataset, group: Dataset) -> FrameLook:
 def _macro(group: Dataset, shared: Dataset, keyword: str) -> Dataset | None:
     for place in (group, shared):
         if place.get(keyword):
-            found: Dataset = place[keyword].value[0]
-            return found
+            item: Dataset = place[keyword].value[0]
+            return item
     return None
 
 

@@ -117,15 +117,15 @@ def _answer(request: Request, indexing: Indexer, level: Level, path: dict[str, s
     query = queries.parse(level, request.query_params.multi_items())
     query.conditions += [Condition(keyword, values=(uid,)) for keyword, uid in path.items()]
     indexing.catch_up()
-    found, total = indexing.index.search(level, query.conditions, query.limit, query.offset)
+    results, total = indexing.index.search(level, query.conditions, query.limit, query.offset)
     response = Response(media_type=kind)
-    response.body = json.dumps([_result(request, query, path, item) for item in found]).encode()
+    response.body = json.dumps([_result(request, query, path, item) for item in results]).encode()
     response.headers["Content-Length"] = str(len(response.body))
-    remaining = total - query.offset - len(found)
+    remaining = total - query.offset - len(results)
     warnings = list(query.warnings)
-    if found and remaining > 0:
+    if results and remaining > 0:
         warnings.append(f"There are {remaining} additional results that can be requested")
-        following = request.url.include_query_params(offset=query.offset + len(found), limit=query.limit)
+        following = request.url.include_query_params(offset=query.offset + len(results), limit=query.limit)
         response.headers["Link"] = f'<{following.replace(netloc=base_url(request).netloc)}>; rel="next"'
     for text in warnings:
         response.headers.append("Warning", f"299 {service_url(request)}: {text}")
@@ -136,10 +136,10 @@ def _answer(request: Request, indexing: Indexer, level: Level, path: dict[str, s
 def _result(request: Request, query: queries.Query, path: dict[str, str], item: Found) -> dict[str, Any]:
     attributes = item.attributes
     if not query.include_all:
-        wanted = query.include | _IDENTIFIERS
+        tags = query.include | _IDENTIFIERS
         for level in _levels(query.level, path):
-            wanted |= _USUAL[level]
-        attributes = {tag: attributes[tag] for tag in wanted if tag in attributes}
+            tags |= _USUAL[level]
+        attributes = {tag: attributes[tag] for tag in tags if tag in attributes}
     url = resource_url(request, item.study, item.series, item.instance)
     attributes |= {
         "00081190": {"vr": "UR", "Value": [url]},

@@ -68,12 +68,12 @@ async def _posted_case(request: Request) -> PostedCase:
     body = await read_json(request)
     if b'"deliver"' in body:
         try:
-            found = json.loads(body)
+            document = json.loads(body)
         except ValueError:
             return PostedCase(body, None)  # reading the specification says what is wrong
-        if isinstance(found, dict) and "deliver" in found:
-            deliver = found.pop("deliver")
-            return PostedCase(json.dumps(found).encode(), deliver)
+        if isinstance(document, dict) and "deliver" in document:
+            deliver = document.pop("deliver")
+            return PostedCase(json.dumps(document).encode(), deliver)
     return PostedCase(body, None)
 
 

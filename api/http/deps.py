@@ -127,8 +127,8 @@ class Services:
 
 def services(request: Request) -> Services:
     """The services of the running application."""
-    found: Services = request.app.state.services
-    return found
+    running: Services = request.app.state.services
+    return running
 
 
 Served = Annotated[Services, Depends(services)]

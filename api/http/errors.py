@@ -129,12 +129,12 @@ def shown(value: Any) -> Any:
 def allowed_methods(request: Request) -> list[str]:
     """The methods of all routes on this path (a router tells only those of the first one it finds)."""
     routes = request.app.router.routes
-    found = [
+    methods = [
         method
         for method in METHODS
         if any(route.matches({**request.scope, "method": method})[0] == Match.FULL for route in routes)
     ]
-    return sorted({*found, "HEAD"}, key=METHODS.index) if "GET" in found else found
+    return sorted({*methods, "HEAD"}, key=METHODS.index) if "GET" in methods else methods
 
 
 def install(app: FastAPI) -> None:

@@ -56,10 +56,10 @@ _CURSOR = Query(description="from the page before; anything else: 400 bad-cursor
 
 def page_of(usual: int, most: int) -> Callable[..., Page]:
     """A dependency that reads ``limit`` and ``cursor``."""
-    asked = Query(usual, ge=1, le=most)
+    limits = Query(usual, ge=1, le=most)
 
     def page(
-        request: Request, response: Response, limit: int = asked, cursor: Annotated[str | None, _CURSOR] = None
+        request: Request, response: Response, limit: int = limits, cursor: Annotated[str | None, _CURSOR] = None
     ) -> Page:
         return Page(request, response, limit, cursor)
 

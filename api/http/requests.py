@@ -64,11 +64,11 @@ def _tell(scope: Scope, status: int, seconds: float) -> None:
     """One line; reading at level debug: pages and monitors ask every second."""
     level = logging.DEBUG if scope["method"] in _QUIET_METHODS and status < 500 else logging.INFO
     principal = scope.get("state", {}).get("principal")
-    told = {
+    fields = {
         "method": scope["method"],
         "path": scope["path"],
         "status": status,
         "seconds": round(seconds, 4),
         "key": principal.id if principal is not None else None,
     }
-    log.log(level, "request", extra=told)
+    log.log(level, "request", extra=fields)

@@ -36,14 +36,14 @@ def _wanted(request: Request, case: PostedCaseBody) -> list[Json]:
     """What is to be delivered, with the identifiers of the destinations. raises: ApiError 422"""
     if case.deliver is None:
         return []
-    found = parsed(json.dumps({"deliver": case.deliver}).encode(), _Wanted).deliver
+    entries = parsed(json.dumps({"deliver": case.deliver}).encode(), _Wanted).deliver
     rows = [
         find_destination(services(request), wanted.destination, f"/deliver/{number}/destination")
-        for number, wanted in enumerate(found)
+        for number, wanted in enumerate(entries)
     ]
     return [
         {"destination": row.id, "name": row.definition.name, "files": wanted.files}
-        for row, wanted in zip(rows, found, strict=True)
+        for row, wanted in zip(rows, entries, strict=True)
     ]
 
 

@@ -20,8 +20,8 @@ def _retention(
         ),
     ] = None,
 ) -> float | None:
-    asked = served.settings.retention_seconds if retention_seconds is None else retention_seconds
-    return asked or None
+    seconds = served.settings.retention_seconds if retention_seconds is None else retention_seconds
+    return seconds or None
 
 
 AskedRetention = Annotated[float | None, Depends(_retention)]

@@ -50,14 +50,14 @@ class _Everything:
         failed = GaugeMetricFamily("tomosim_collector_failed", "1 where metrics are missing.", labels=["collector"])
         for collect in COLLECTORS:
             try:
-                found = list(collect(self.served))
+                families = list(collect(self.served))
             except Exception:
                 log.exception("metrics are missing", extra={"collector": collect.__name__})
-                found = []
+                families = []
                 failed.add_metric([collect.__name__], 1)
             else:
                 failed.add_metric([collect.__name__], 0)
-            yield from found
+            yield from families
         yield failed
 
 

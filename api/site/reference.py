@@ -90,8 +90,8 @@ def _row(name: str, place: str, description: str, schema: Json) -> str:
     choices = [s["enum"] for s in (schema, *schema.get("anyOf", ())) if "enum" in s]
     allowed = f" ({', '.join(map(str, choices[0]))})" if choices else ""
     default = f"; default {schema['default']}" if schema.get("default") is not None else ""
-    told = escape(f"{description}{allowed}{default}")
-    return f"<tr><td><code>{escape(name)}</code></td><td>{escape(place)}</td><td>{told}</td></tr>"
+    text = escape(f"{description}{allowed}{default}")
+    return f"<tr><td><code>{escape(name)}</code></td><td>{escape(place)}</td><td>{text}</td></tr>"
 
 
 def _content(kind: str, content: Json) -> str:

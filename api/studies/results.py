@@ -128,8 +128,8 @@ def manifest_json(served: Services, study: Study, now: float) -> Iterator[str]:
 
 
 def _stages(manifest: dict[str, Any]) -> list[dict[str, Any]]:
-    wanted = ("name", "key", "cached", "seconds")
-    return [{name: stage[name] for name in wanted if name in stage} for stage in manifest.get("stages", ())]
+    names = ("name", "key", "cached", "seconds")
+    return [{name: stage[name] for name in names if name in stage} for stage in manifest.get("stages", ())]
 
 
 def _members(served: Services, study: Study, only: str | None, now: float) -> Iterator[Member]:
@@ -151,7 +151,7 @@ def _members(served: Services, study: Study, only: str | None, now: float) -> It
 
 async def _stream(studies: Studies, identifier: str) -> AsyncIterator[str]:
     yield f"retry: {streams.RECONNECT_MILLISECONDS}\n\n"
-    told = ""
+    last = ""
     spoke = time.monotonic()
     while True:
         try:
@@ -162,8 +162,8 @@ async def _stream(studies: Studies, identifier: str) -> AsyncIterator[str]:
             await anyio.sleep(POLL_SECONDS)
             continue
         data = json.dumps({"state": study.state, "counts": study.counts, "finished_cases": study.finished_cases})
-        if data != told:
-            told, spoke = data, time.monotonic()
+        if data != last:
+            last, spoke = data, time.monotonic()
             yield f"event: study\ndata: {data}\n\n"
         if study.is_final:
             return

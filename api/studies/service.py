@@ -139,16 +139,16 @@ class _Problems:
         """raises: ApiError 422 where anything was found"""
         if not self._found:
             return
-        told = list(self._found.values())[:MOST_PROBLEMS]
-        more = len(self._found) - len(told)
-        lines = [_line(entry) for entry in told[:3]]
+        problems = list(self._found.values())[:MOST_PROBLEMS]
+        more = len(self._found) - len(problems)
+        lines = [_line(entry) for entry in problems[:3]]
         if len(self._found) > len(lines):
             lines.append(f"and {len(self._found) - len(lines)} more problems")
         raise ApiError(
             422,
             "resource-limit" if self._only_too_much else "invalid-request",
             f"{self._cases} {'case' if self._cases == 1 else 'cases'} cannot be simulated: " + "; ".join(lines),
-            errors=told,
+            errors=problems,
             more_problems=more,
         )
 

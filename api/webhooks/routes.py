@@ -52,13 +52,13 @@ def create(
     response: Response,
 ) -> CreatedWebhook:
     """Makes a webhook. Its messages are signed as Standard Webhooks says, with the secret that is shown only now."""
-    made = served.webhooks.made_before(making.identifier) if making.again else None
-    if made is None:
+    pair = served.webhooks.made_before(making.identifier) if making.again else None
+    if pair is None:
         if len(served.webhooks.all()) >= MAX_WEBHOOKS:
             raise ApiError(409, "too-many-webhooks", f"there are {MAX_WEBHOOKS} webhooks: delete one first")
         description = new.description.replace("\0", "")
-        made = served.webhooks.create(new.url, new.events, description, making.identifier)
-    row, secret = made
+        pair = served.webhooks.create(new.url, new.events, description, making.identifier)
+    row, secret = pair
     response.headers.update(location(request, webhook_path(row.id)))
     return CreatedWebhook(**webhook_resource(row).model_dump(), secret=secret)
 

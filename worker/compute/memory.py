@@ -76,12 +76,12 @@ def _counters() -> list[Path]:
         lines = _PROC.read_text().splitlines()
     except OSError:
         return []
-    found = []
+    files = []
     for line in lines:
         _, controllers, path = line.split(":", 2)
         inside = path.lstrip("/")
         if controllers == "":
-            found += [_ROOT / inside / "memory.events", _ROOT / "memory.events"]
+            files += [_ROOT / inside / "memory.events", _ROOT / "memory.events"]
         elif "memory" in controllers.split(","):
-            found += [_ROOT / "memory" / inside / "memory.oom_control", _ROOT / "memory" / "memory.oom_control"]
-    return found
+            files += [_ROOT / "memory" / inside / "memory.oom_control", _ROOT / "memory" / "memory.oom_control"]
+    return files

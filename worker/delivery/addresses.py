@@ -41,8 +41,8 @@ def resolve(host: str, port: int, allowed: Sequence[str]) -> str:
     raises: DestinationNotAllowed; OSError where the name is not known
     """
     by_name = require_allowed(host, allowed)
-    found = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)
-    addresses = [str(item[4][0]) for item in sorted(found, key=lambda item: item[0] != socket.AF_INET)]
+    entries = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)
+    addresses = [str(item[4][0]) for item in sorted(entries, key=lambda item: item[0] != socket.AF_INET)]
     if by_name:
         return addresses[0]
     networks = [network for entry in allowed if (network := network_of(entry)) is not None]

@@ -103,9 +103,9 @@ class Listener:
 def request(peer: Peer, references: Sequence[Reference], reports: Reports) -> str:
     """Asks for commitment; the transaction whose report is to be waited for. raises: AssociationError"""
     transaction = str(generate_uid(prefix=None))
-    wanted = Dataset()
-    wanted.TransactionUID = transaction
-    wanted.ReferencedSOPSequence = [_item(reference) for reference in references]
+    information = Dataset()
+    information.TransactionUID = transaction
+    information.ReferencedSOPSequence = [_item(reference) for reference in references]
     reports.expect(transaction)
     if not peer.accepts(PUSH_MODEL):
         raise AssociationError(
@@ -114,7 +114,7 @@ def request(peer: Peer, references: Sequence[Reference], reports: Reports) -> st
             "from the destination",
             again=False,
         )
-    status = peer.act(wanted, REQUEST_COMMITMENT, PUSH_MODEL, PUSH_MODEL_INSTANCE)
+    status = peer.act(information, REQUEST_COMMITMENT, PUSH_MODEL, PUSH_MODEL_INSTANCE)
     if status is None:
         raise AssociationError("no-answer", f"the request for commitment: {peer.why()}", again=True)
     if status != 0x0000:

@@ -52,8 +52,8 @@ def read_series(path: Path) -> str | None:
 def offered(kind: Kind, destination: Destination) -> list[str]:
     """The transfer syntaxes in which a file may go to a destination, the preferred first."""
     possible = [kind.transfer_syntax, *(s for s in UNCOMPRESSED if s != kind.transfer_syntax)]
-    wanted = [TRANSFER_SYNTAX_UIDS[name] for name in destination.transfer_syntaxes]
-    return [syntax for syntax in wanted if syntax in possible] or possible
+    syntaxes = [TRANSFER_SYNTAX_UIDS[name] for name in destination.transfer_syntaxes]
+    return [syntax for syntax in syntaxes if syntax in possible] or possible
 
 
 def converted(path: Path, transfer_syntax: str, target: Path) -> Path:

@@ -195,15 +195,15 @@ class Entity(AE):
     def _create_socket(
         self, assoc: Association, address: AddressInformation, tls_args: tuple[ssl.SSLContext, str] | None
     ) -> AssociationSocket:
-        made = Socket(assoc, address=address)
-        made.tls_args = tls_args
-        made.stall_seconds = self._stall_seconds
-        made.throttle = self._throttle
-        made.count = self._count
+        used = Socket(assoc, address=address)
+        used.tls_args = tls_args
+        used.stall_seconds = self._stall_seconds
+        used.throttle = self._throttle
+        used.count = self._count
         assoc.dul.to_provider_queue = PatientQueue(assoc)
         assoc.dul._send = _send_data(assoc)
-        self.socket = made
-        return made
+        self.socket = used
+        return used
 
 
 def limit_pdu(association: Association, limit: int) -> None:

@@ -99,15 +99,15 @@ class Sender:
         """Runs a tour on its own threads; how it stood when it ended."""
         watch = Watch(self.deliveries, tour.row.id, owner, float("inf"))
         tour.start()
-        verdict, told = "running", time.monotonic()
+        verdict, spoke = "running", time.monotonic()
         while tour.is_alive():
             tour.join(POLL_SECONDS)
             verdict = watch.verdict()
             if verdict != "running" or self.stopping.is_set():
                 tour.stop()
                 break
-            if time.monotonic() - told > PROGRESS_SECONDS:
-                told = time.monotonic()
+            if time.monotonic() - spoke > PROGRESS_SECONDS:
+                spoke = time.monotonic()
                 self._tell(tour, owner)
         tour.join(None)
         return verdict

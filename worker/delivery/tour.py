@@ -141,11 +141,11 @@ class Tour:
     def _commit(self, seconds: float) -> None:
         """Asks for storage commitment of all that is stored. raises: AssociationError"""
         stored = self._outlast(lambda: self.deliveries.uncommitted(self.row.id))
-        found = {i.sop_instance: i for i in stored if i.sop_instance}
-        if not found:
+        by_uid = {i.sop_instance: i for i in stored if i.sop_instance}
+        if not by_uid:
             return
         self.uncommitted = True
-        paths = [self.store.path(FileRef(i.sha256, i.size)) for i in found.values()]
+        paths = [self.store.path(FileRef(i.sha256, i.size)) for i in by_uid.values()]
         headers = [read_header(path) for path in paths]
         peer = self._connect([Kind(commitment.PUSH_MODEL, s) for s in UNCOMPRESSED])
         try:
@@ -164,8 +164,8 @@ class Tour:
             )
             raise AssociationError("commitment-timeout", text, again=False)
         self.uncommitted = False
-        committed = [i.number for uid, i in found.items() if uid in report.committed]
-        others = {i.number: report.failed.get(uid, "its report does not name it") for uid, i in found.items()}
+        committed = [i.number for uid, i in by_uid.items() if uid in report.committed]
+        others = {i.number: report.failed.get(uid, "its report does not name it") for uid, i in by_uid.items()}
         failed = {number: why for number, why in others.items() if number not in committed}
         self._outlast(lambda: self.deliveries.commit(self.row.id, committed, failed))
 

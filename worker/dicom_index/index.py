@@ -160,21 +160,21 @@ class DicomIndex(Repository):
         chosen = base.with_only_columns(own).order_by(*order).limit(limit).offset(offset).subquery()
         query = _joined(level).where(own.in_(sa.select(chosen.c.id))).with_only_columns(*columns).order_by(*order)
         with reading(self.engine) as connection:
-            found = [_found(level, row) for row in connection.execute(query).mappings()]
-            total = offset + len(found)
-            if len(found) == limit or not found:
+            results = [_found(level, row) for row in connection.execute(query).mappings()]
+            total = offset + len(results)
+            if len(results) == limit or not results:
                 total = connection.scalar(base.with_only_columns(sa.func.count())) or 0
-        return found, total
+        return results, total
 
     def instances(self, study: str, series_uid: str | None = None, instance: str | None = None) -> list[Instance]:
         """The objects of a study, of one of its series or one object; empty where there is none.
 
         raises: ExpiredError where there was.
         """
-        found = self._instances(_shown(self.clock()), study, series_uid, instance)
-        if not found and self._instances((), study, series_uid, instance):
+        objects = self._instances(_shown(self.clock()), study, series_uid, instance)
+        if not objects and self._instances((), study, series_uid, instance):
             raise ExpiredError(f"the files of study {study}")
-        return found
+        return objects
 
     def _instances(self, which: Conditions, study: str, series_uid: str | None, instance: str | None) -> list[Instance]:
         query = _joined("instance").where(*which, studies.c.uid == study)

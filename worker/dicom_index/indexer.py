@@ -125,7 +125,7 @@ def columns_of(dataset: Dataset, level: Level) -> Json:
 
 def attributes_by_level(dataset: Dataset) -> dict[Level, Json]:
     """The attributes of study, series and instance in the DICOM JSON model, without the long ones."""
-    found: dict[Level, dict[str, Any]] = {"study": {}, "series": {}, "instance": {}}
+    attributes: dict[Level, dict[str, Any]] = {"study": {}, "series": {}, "instance": {}}
     for element in dataset:
         tag = f"{element.tag:08X}"
         if tag in _LEFT_OUT or element.tag.is_private:
@@ -134,9 +134,9 @@ def attributes_by_level(dataset: Dataset) -> dict[Level, Json]:
         if len(json.dumps(model)) > MAX_ATTRIBUTE_CHARACTERS:
             continue
         if tag in _STUDY:
-            found["study"][tag] = model
+            attributes["study"][tag] = model
         if tag in _SERIES:
-            found["series"][tag] = model
+            attributes["series"][tag] = model
         if tag not in _STUDY | _SERIES or tag in _EVERY_LEVEL:
-            found["instance"][tag] = model
-    return found
+            attributes["instance"][tag] = model
+    return attributes

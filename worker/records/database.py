@@ -97,15 +97,15 @@ workers = sa.Table(
 
 def connect(url: str) -> sa.Engine:
     """An engine for ``url``; opens nothing yet."""
-    made = sa.make_url(url)
-    if made.drivername == "postgresql":
-        made = made.set(drivername=postgres.DRIVER)
+    address = sa.make_url(url)
+    if address.drivername == "postgresql":
+        address = address.set(drivername=postgres.DRIVER)
     postgres.install()
-    if made.get_backend_name() != "sqlite":
-        return sa.create_engine(made, pool_pre_ping=True)
-    if made.database:
-        Path(made.database).parent.mkdir(parents=True, exist_ok=True)
-    engine = sa.create_engine(made, connect_args={"timeout": 30})
+    if address.get_backend_name() != "sqlite":
+        return sa.create_engine(address, pool_pre_ping=True)
+    if address.database:
+        Path(address.database).parent.mkdir(parents=True, exist_ok=True)
+    engine = sa.create_engine(address, connect_args={"timeout": 30})
     event.listen(engine, "connect", _prepare_sqlite)
     event.listen(engine, "begin", _begin_sqlite)
     return engine

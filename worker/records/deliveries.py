@@ -57,9 +57,9 @@ class Deliveries(Leases[Delivery]):
         raises: NotFoundError where there is no such destination
         """
         with self.engine.begin() as connection:
-            found = find(connection, request.destination)
-            request = replace(request, destination=found.id)
-            return self._insert(connection, request, found.definition.name, identifier or uuid.uuid4().hex)
+            row = find(connection, request.destination)
+            request = replace(request, destination=row.id)
+            return self._insert(connection, request, row.definition.name, identifier or uuid.uuid4().hex)
 
     def _insert(self, connection: sa.Connection, request: Request, destination_name: str, identifier: str) -> Delivery:
         row = {
@@ -108,8 +108,9 @@ class Deliveries(Leases[Delivery]):
         destination_id: str | None = None,
     ) -> list[Delivery]:
         """The newest first; ``before``: (created, id) of the last one already seen."""
-        asked = {"state": state, "simulation_id": simulation_id, "study_id": study_id, "destination_id": destination_id}
-        return self._page(limit, before, *(deliveries.c[k] == v for k, v in asked.items() if v is not None))
+        filters = {"state": state, "simulation_id": simulation_id, "study_id": study_id}
+        filters["destination_id"] = destination_id
+        return self._page(limit, before, *(deliveries.c[k] == v for k, v in filters.items() if v is not None))
 
     def instances(
         self, identifier: str, *, state: InstanceState | None = None, after: int = -1, limit: int | None = None
@@ -174,12 +175,12 @@ class Deliveries(Leases[Delivery]):
         i, d = instances.c, deliveries.c
         mine = (i.delivery_id == identifier, i.number == number)
         with self.engine.begin() as connection:
-            found = connection.execute(
+            row = connection.execute(
                 sa.select(i.state, i.attempts, i.size, i.name).where(*mine).with_for_update()
             ).one()
-            if found.state != "waiting":
-                return found.state  # type: ignore[no-any-return]
-            if outcome.verdict == "again" and found.attempts + 1 >= max_attempts:
+            if row.state != "waiting":
+                return row.state  # type: ignore[no-any-return]
+            if outcome.verdict == "again" and row.attempts + 1 >= max_attempts:
                 state = "failed"
             values: Json = {
                 "state": state,
@@ -194,13 +195,13 @@ class Deliveries(Leases[Delivery]):
             if state == "stored":
                 counts = {
                     "instances_stored": d.instances_stored + 1,
-                    "bytes_stored": d.bytes_stored + found.size,
+                    "bytes_stored": d.bytes_stored + row.size,
                     "failures": 0,
                 }
             elif state == "failed":
                 counts = {"instances_failed": d.instances_failed + 1}
-            data = {"instance": number, "name": found.name, "instance_state": state, **_told(outcome)}
-            message = f"{found.name}: {outcome.message or state}"
+            data = {"instance": number, "name": row.name, "instance_state": state, **_told(outcome)}
+            message = f"{row.name}: {outcome.message or state}"
             self._change(connection, identifier, STATES, {"message": message, **counts}, kind=EVENT_PROGRESS, data=data)
         return state
 
@@ -284,9 +285,9 @@ def _active(destination_id: str) -> sa.Select[Any]:
 
 
 def _told(outcome: Outcome) -> Json:
-    told: Json = {"code": outcome.code}
+    data: Json = {"code": outcome.code}
     if outcome.message:
-        told["message"] = outcome.message
+        data["message"] = outcome.message
     if outcome.status is not None:
-        told["status"] = f"0x{outcome.status:04X}"
-    return told
+        data["status"] = f"0x{outcome.status:04X}"
+    return data

@@ -117,10 +117,10 @@ class Destinations(Repository):
 def find(connection: sa.Connection, name: str) -> DestinationRow:
     """The destination with this identifier or name. raises: NotFoundError"""
     c = destinations.c
-    found = connection.execute(sa.select(destinations).where(sa.or_(c.id == name, c.name == name))).first()
-    if found is None:
+    row = connection.execute(sa.select(destinations).where(sa.or_(c.id == name, c.name == name))).first()
+    if row is None:
         raise NotFoundError(name, "destination")
-    return _row(found)
+    return _row(row)
 
 
 def lock(connection: sa.Connection, identifier: str) -> None:

@@ -124,8 +124,8 @@ class Jobs(Leases[Simulation]):
         study_id: str | None = None,
     ) -> list[Simulation]:
         """The newest simulations first; ``before``: (created, id) of the last one already seen."""
-        asked = {simulations.c.state: state, simulations.c.study_id: study_id}
-        return self._page(limit, before, *(column == value for column, value in asked.items() if value is not None))
+        filters = {simulations.c.state: state, simulations.c.study_id: study_id}
+        return self._page(limit, before, *(column == value for column, value in filters.items() if value is not None))
 
     def sent_to(self, queue: Queue, before: float) -> list[Simulation]:
         """Queued simulations whose message was sent to this queue before that time, oldest first."""

@@ -235,10 +235,10 @@ class Leases(Repository, Generic[Row]):
         return columns_of(self.table, self.row_type)
 
     def _one(self, connection: sa.Connection, identifier: str) -> Row:
-        found = self._rows(connection.execute(sa.select(*self._columns).where(self.table.c.id == identifier)))
-        if not found:
+        rows = self._rows(connection.execute(sa.select(*self._columns).where(self.table.c.id == identifier)))
+        if not rows:
             raise NotFoundError(identifier, self.what)
-        return found[0]
+        return rows[0]
 
     def _rows(self, result: sa.Result[Any]) -> list[Row]:
         return rows_of(result, self.row_type)

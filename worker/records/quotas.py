@@ -59,13 +59,13 @@ def require(connection: sa.Connection, submitter: Submitter, cases: int, now: fl
         _check(_count(connection, active), cases, limit, "queued or running at a time", ACTIVE_RETRY_SECONDS)
     if limit := submitter.cases_per_day:
         today = sa.and_(mine, simulations.c.created > now - DAY_SECONDS)
-        found = _count(connection, today)
+        count = _count(connection, today)
         wait = 0
-        if limit >= cases > limit - found:
+        if limit >= cases > limit - count:
             oldest = sa.select(simulations.c.created).where(today).order_by(simulations.c.created)
-            in_the_way = connection.scalar(oldest.offset(found + cases - limit - 1).limit(1)) or now
+            in_the_way = connection.scalar(oldest.offset(count + cases - limit - 1).limit(1)) or now
             wait = max(1, math.ceil(in_the_way + DAY_SECONDS - now))
-        _check(found, cases, limit, "within 24 hours", wait)
+        _check(count, cases, limit, "within 24 hours", wait)
 
 
 def _count(connection: sa.Connection, condition: sa.ColumnElement[bool]) -> int:

@@ -53,12 +53,12 @@ def current(engine: sa.Engine) -> str | None:
 
 def require_current(engine: sa.Engine) -> None:
     """raises: StoreError "database-version" where the tables are not those this program needs."""
-    found = current(engine)
-    if found == newest():
+    revision = current(engine)
+    if revision == newest():
         return
-    _refuse_newer(found)
+    _refuse_newer(revision)
     raise StoreError(
-        f"the database has {f'revision {found}' if found else 'no tables'} and this program needs revision "
+        f"the database has {f'revision {revision}' if revision else 'no tables'} and this program needs revision "
         f"{newest()}: run 'tomosim db upgrade' once (after a backup), then start again",
         code="database-version",
     )
@@ -84,9 +84,9 @@ def downgrade(engine: sa.Engine, revision: str) -> None:
     """
     known = [script.revision for script in ScriptDirectory.from_config(_config()).walk_revisions()]
     with _alone(engine) as connection:
-        found = _revision(connection)
-        _refuse_newer(found)
-        earlier = known[known.index(found) :] if found else []
+        present = _revision(connection)
+        _refuse_newer(present)
+        earlier = known[known.index(present) :] if present else []
         if revision not in (*earlier, "base"):
             raise StoreError(
                 f"revision {revision!r}: the database can go back to {', '.join([*earlier, 'base'])}",

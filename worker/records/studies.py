@@ -73,17 +73,17 @@ class Study:
 
     @property
     def state(self) -> StudyState:
-        found = {state for state, number in self.counts.items() if number}
-        unfinished = found.difference(FINAL_STATES)
+        states = {state for state, number in self.counts.items() if number}
+        unfinished = states.difference(FINAL_STATES)
         if unfinished:
             if unfinished == {"cancelling"}:
                 return "cancelling"
-            return "queued" if found == {"queued"} else "running"
-        if found == {"succeeded"}:
+            return "queued" if states == {"queued"} else "running"
+        if states == {"succeeded"}:
             return "succeeded"
-        if "succeeded" in found:
+        if "succeeded" in states:
             return "partial"
-        return "failed" if "failed" in found else "cancelled"
+        return "failed" if "failed" in states else "cancelled"
 
 
 _COLUMNS = [studies.c[name] for name in ("id", "name", "columns", "estimate", "cases", "created")]
@@ -239,20 +239,20 @@ class Studies:
         unfinished = sa.exists().where(c.study_id == studies.c.id, c.state.not_in(FINAL_STATES))
         query = sa.select(studies.c.id).where(studies.c.announced.is_(None), ~unfinished)
         with reading(self.engine) as connection:
-            found = list(connection.scalars(query))
-        return [identifier for identifier in found if self._announce(identifier)]
+            identifiers = list(connection.scalars(query))
+        return [identifier for identifier in identifiers if self._announce(identifier)]
 
     def _announce(self, identifier: str) -> bool:
         now = self.jobs.clock()
         untold = (studies.c.id == identifier, studies.c.announced.is_(None))
         with self.engine.begin() as connection:
             self._lock(connection, identifier)
-            found = _with_counts(connection, sa.select(*_COLUMNS).where(*untold))
-            if not found or not found[0].is_final:
+            rows = _with_counts(connection, sa.select(*_COLUMNS).where(*untold))
+            if not rows or not rows[0].is_final:
                 return False
             connection.execute(studies.update().where(*untold).values(announced=now))
             for call in self.on_end:
-                call(self, connection, found[0])
+                call(self, connection, rows[0])
         return True
 
     def unsent(self, identifier: str, limit: int) -> list[Simulation]:
@@ -264,10 +264,10 @@ class Studies:
         connection.execute(sa.select(studies.c.id).where(studies.c.id == identifier).with_for_update())
 
     def _one(self, connection: sa.Connection, identifier: str) -> Study:
-        found = _with_counts(connection, sa.select(*_COLUMNS).where(studies.c.id == identifier))
-        if not found:
+        rows = _with_counts(connection, sa.select(*_COLUMNS).where(studies.c.id == identifier))
+        if not rows:
             raise NotFoundError(identifier, "study")
-        return found[0]
+        return rows[0]
 
 
 def _case_row(study_id: str, number: int, case: NewCase, now: float) -> dict[str, Any]:
@@ -293,10 +293,10 @@ def _with_counts(connection: sa.Connection, query: sa.Select[Any]) -> list[Study
         .where(c.study_id.in_([row["id"] for row in rows]))
         .group_by(c.study_id, c.state)
     )
-    found: dict[str, dict[State, tuple[int, float | None, float | None]]] = {row["id"]: {} for row in rows}
+    tallies: dict[str, dict[State, tuple[int, float | None, float | None]]] = {row["id"]: {} for row in rows}
     for study_id, state, number, started, finished in connection.execute(tally):
-        found[study_id][state] = (number, started, finished)
-    return [_study(dict(row), found[row["id"]]) for row in rows]
+        tallies[study_id][state] = (number, started, finished)
+    return [_study(dict(row), tallies[row["id"]]) for row in rows]
 
 
 def _study(row: Json, tally: dict[State, tuple[int, float | None, float | None]]) -> Study:

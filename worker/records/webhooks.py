@@ -134,8 +134,8 @@ def announce(connection: sa.Connection, at: float, event: WebhookEvent, *data: C
     """
     # Locked, so that a webhook which is deleted meanwhile does not break the change that is told of.
     query = sa.select(webhooks.c.id, webhooks.c.events).where(webhooks.c.disabled.is_(None))
-    found = connection.execute(query.with_for_update(read=True, key_share=True))
-    wanting = [row.id for row in found if event in row.events]
+    rows = connection.execute(query.with_for_update(read=True, key_share=True))
+    wanting = [row.id for row in rows if event in row.events]
     if wanting:
         for make in data:
             _record(connection, {_message_id(uuid.uuid4().hex): one for one in wanting}, at, event, make())
@@ -178,10 +178,10 @@ class Webhooks(Repository):
         identifier: a new one where empty.
         """
         secret = "whsec_" + base64.b64encode(secrets.token_bytes(SECRET_BYTES)).decode()
-        made = Webhook(identifier or uuid.uuid4().hex, url, description, list(events), self.clock(), None, None, "")
+        webhook = Webhook(identifier or uuid.uuid4().hex, url, description, list(events), self.clock(), None, None, "")
         with self.engine.begin() as connection:
-            connection.execute(webhooks.insert().values(**vars(made), secret=secret))
-        return made, secret
+            connection.execute(webhooks.insert().values(**vars(webhook), secret=secret))
+        return webhook, secret
 
     def made_before(self, identifier: str) -> tuple[Webhook, str] | None:
         """What ``create`` returned, for a client whose answer was lost; None where it did not get so far."""
@@ -219,13 +219,13 @@ class Webhooks(Repository):
         name: 32 hexadecimal digits that its identifier is made of; new ones where empty. Nothing is recorded where it
         was before.
         """
-        made = _message_id(name or uuid.uuid4().hex)
+        message_id = _message_id(name or uuid.uuid4().hex)
         with self.engine.begin() as connection:
             _webhook(connection, identifier)
-            if not connection.scalar(sa.select(sa.exists().where(messages.c.id == made))):
+            if not connection.scalar(sa.select(sa.exists().where(messages.c.id == message_id))):
                 data = {"webhook": identifier}
-                _record(connection, {made: identifier}, self.clock(), "webhook.test", data)
-            return _message(connection, identifier, made)
+                _record(connection, {message_id: identifier}, self.clock(), "webhook.test", data)
+            return _message(connection, identifier, message_id)
 
     def messages(self, identifier: str, limit: int, before: tuple[float, str] | None = None) -> list[Message]:
         """What was and is to be told, newest first; ``before``: (created, id) of the last one already seen.
@@ -242,8 +242,8 @@ class Webhooks(Repository):
         """A message and every attempt to send it, oldest first. raises: NotFoundError"""
         query = sa.select(*columns_of(attempts, Attempt)).where(attempts.c.message_id == message_id)
         with reading(self.engine) as connection:
-            found = _message(connection, identifier, message_id)
-            return found, rows_of(connection.execute(query.order_by(attempts.c.number)), Attempt)
+            message = _message(connection, identifier, message_id)
+            return message, rows_of(connection.execute(query.order_by(attempts.c.number)), Attempt)
 
     def replay(self, identifier: str, message_id: str) -> Message:
         """Sends a message again that is done with, with the same identifier and content.
@@ -254,10 +254,10 @@ class Webhooks(Repository):
         values = {"state": "pending", "next_attempt": self.clock(), "finished": None}
         with self.engine.begin() as connection:
             changed = connection.execute(messages.update().where(*done).values(values)).rowcount
-            found = _message(connection, identifier, message_id)
+            message = _message(connection, identifier, message_id)
             if not changed:
                 raise StateError("queued")
-        return found
+        return message
 
     # What the courier does
 
@@ -346,15 +346,15 @@ class Webhooks(Repository):
 
 def _webhook(connection: sa.Connection, identifier: str) -> Webhook:
     query = sa.select(*columns_of(webhooks, Webhook)).where(webhooks.c.id == identifier)
-    found = rows_of(connection.execute(query), Webhook)
-    if not found:
+    rows = rows_of(connection.execute(query), Webhook)
+    if not rows:
         raise NotFoundError(identifier, "webhook")
-    return found[0]
+    return rows[0]
 
 
 def _message(connection: sa.Connection, webhook_id: str, identifier: str) -> Message:
     mine = (messages.c.id == identifier, messages.c.webhook_id == webhook_id)
-    found = rows_of(connection.execute(sa.select(*columns_of(messages, Message)).where(*mine)), Message)
-    if not found:
+    rows = rows_of(connection.execute(sa.select(*columns_of(messages, Message)).where(*mine)), Message)
+    if not rows:
         raise NotFoundError(identifier, "message")
-    return found[0]
+    return rows[0]

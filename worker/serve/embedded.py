@@ -185,10 +185,10 @@ def _start_all(settings: Settings, children: list[Child], signals: _Signals) -> 
         log = logs / f"{name}.log"
         if log.exists() and log.stat().st_size > MAX_LOG_BYTES:
             log.replace(log.with_suffix(".log.1"))
-        made = Child(name, command, env, log)
-        made.start()
-        children.append(made)
-        return made
+        started = Child(name, command, env, log)
+        started.start()
+        children.append(started)
+        return started
 
     if not settings.broker_url:
         server = child("broker", lambda: broker.command(settings))

@@ -129,7 +129,7 @@ class Collector:
             return None
         self.retention.complete_expiry()
         pruned = self.retention.prune_events(self.settings.event_seconds)
-        found = collect(self.engine, self.store, self.settings.gc_grace_seconds, self.clock())
-        log.info("garbage collected", extra={**asdict(found), "events": pruned})
+        collection = collect(self.engine, self.store, self.settings.gc_grace_seconds, self.clock())
+        log.info("garbage collected", extra={**asdict(collection), "events": pruned})
         self.chores.done(CHORE, interval)
-        return found
+        return collection

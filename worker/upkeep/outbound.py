@@ -123,8 +123,8 @@ def _require_public(host: str, address: Address) -> None:
 
 async def lookup(host: str, port: int) -> list[Address]:
     """The addresses of a name. raises: OSError"""
-    found = await anyio.getaddrinfo(host, port, type=socket.SOCK_STREAM)
-    return [ipaddress.ip_address(str(entry[4][0]).partition("%")[0]) for entry in found]
+    entries = await anyio.getaddrinfo(host, port, type=socket.SOCK_STREAM)
+    return [ipaddress.ip_address(str(entry[4][0]).partition("%")[0]) for entry in entries]
 
 
 async def resolve(url: httpx.URL, private_hosts: Collection[str] = ()) -> list[Address]:
