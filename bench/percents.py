@@ -117,7 +117,7 @@ def odd_body(name: str) -> Phantom:
 
 
 def outline(name: str) -> Phantom:
-    axes = scaled_to(OUTLINES[name], CUPS["C"][0])
+    axes = scaled_to(OUTLINES[name], CUPS["c"][0])
     return with_gland(ellipsoid_labels(axes, VOXEL_MM), axes)
 
 
