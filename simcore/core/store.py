@@ -19,26 +19,31 @@ from __future__ import annotations
 import contextlib
 import errno
 import fcntl
-import hashlib
-import json
 import os
 import shutil
 import socket
 import tempfile
-from collections.abc import Callable, Iterator
-from concurrent.futures import Future, ThreadPoolExecutor, wait
-from dataclasses import asdict, dataclass, field
+from collections.abc import Iterator
+from concurrent.futures import Future, wait
+from dataclasses import asdict, dataclass
 from functools import partial
 from pathlib import Path
 from typing import Any
 
-from simcore.core.artifacts import Report
 from simcore.core.errors import StoreError
 from simcore.core.hashing import PIECE_BYTES as PIECE_BYTES
 from simcore.core.hashing import FileRef as FileRef
 from simcore.core.hashing import Hashing as Hashing
 from simcore.core.hashing import file_digest as file_digest
 from simcore.core.hashing import file_ref, sync_file
+from simcore.core.records import Begun as Begun
+from simcore.core.records import Commits as Commits
+from simcore.core.records import Compute as Compute
+from simcore.core.records import StageRecord as StageRecord
+from simcore.core.records import canonical as canonical
+from simcore.core.records import completed
+from simcore.core.records import digest as digest
+from simcore.core.records import stage_key as stage_key
 
 MIN_FREE_BYTES = 1 << 30
 """A stage is not started where the disk has less free space than this."""
@@ -48,16 +53,6 @@ LARGE_BYTES = 64 << 20
 """Outputs from this size on take a disk so long that it pays to go on meanwhile."""
 
 
-def canonical(data: Any) -> bytes:
-    """JSON with sorted keys and no spaces: the same data gives the same bytes. NaN and infinity are refused."""
-    return json.dumps(data, sort_keys=True, separators=(",", ":"), ensure_ascii=False, allow_nan=False).encode()
-
-
-def digest(data: Any) -> str:
-    """sha256 of the canonical JSON, hexadecimal."""
-    return hashlib.sha256(canonical(data)).hexdigest()
-
-
 @dataclass(frozen=True)
 class Stored:
     """A record (name: its key) or an object (name: its digest) of the store. used: when last, seconds since 1970."""
@@ -65,58 +60,6 @@ class Stored:
     name: str
     size: int
     used: float
-
-
-@dataclass(frozen=True)
-class StageRecord:
-    """What one run of one stage made."""
-
-    stage: str
-    version: int
-    key: str
-    outputs: dict[str, FileRef]
-    report: Report = field(default_factory=dict)
-    seconds: float = 0.0
-    peak_memory_bytes: int = 0
-
-    @property
-    def digest(self) -> str:
-        """Digest of the outputs: what feeds the keys of later stages (of large outputs their own key may stand for it).
-        Independent of when and how fast it ran."""
-        return digest({name: ref.sha256 for name, ref in self.outputs.items()})
-
-    @classmethod
-    def from_json(cls, text: bytes) -> StageRecord:
-        d = json.loads(text)
-        return cls(**{**d, "outputs": {n: FileRef(**r) for n, r in d["outputs"].items()}})
-
-
-@dataclass(frozen=True)
-class Begun:
-    """A stage whose files are there. record: as soon as they are hashed."""
-
-    record: Future[StageRecord]
-    cached: bool
-
-    @classmethod
-    def there(cls, record: StageRecord) -> Begun:
-        return cls(_completed(record), cached=True)
-
-
-Compute = Callable[[Path, str, Hashing], tuple[Report, float, int]]
-"""compute(folder, key, hashing): writes the outputs of a stage below ``folder``; returns (report, seconds, peak memory
-in bytes). Files that it opens by ``hashing.open`` are hashed while they are written."""
-
-
-def _completed(record: StageRecord) -> Future[StageRecord]:
-    future: Future[StageRecord] = Future()
-    future.set_result(record)
-    return future
-
-
-def stage_key(stage: str, version: int, parameters: Any, inputs: dict[str, str]) -> str:
-    """Key of a stage: its name and version, its own part of the specification, the digests of its inputs."""
-    return digest({"stage": stage, "version": version, "parameters": parameters, "inputs": inputs})
 
 
 def _sync_folder(path: Path) -> None:
@@ -137,47 +80,6 @@ def _stored(folder: Path, suffix: str) -> Iterator[Stored]:
 def workspace_prefix(process: int) -> str:
     """What the names of all that a process of this machine has for a while begin with."""
     return f"{socket.gethostname()}-{process}-"
-
-
-class Commits:
-    """Commits of stages, one after the other beside the computation of what follows.
-
-    A disk takes seconds to have a volume for certain, and so does its digest. Closing waits for all of them; the first
-    that failed is raised then, or by the next ``take``.
-    """
-
-    def __init__(self) -> None:
-        self._thread = ThreadPoolExecutor(1, "commit")
-        self._hasher = ThreadPoolExecutor(1, "hash")
-        self._underway: list[Future[None]] = []
-
-    def hash(self, make: Callable[[], StageRecord]) -> Future[StageRecord]:
-        """Runs what makes a record of finished files."""
-        return self._hasher.submit(make)
-
-    def take(self, commit: Callable[[], None], held: contextlib.ExitStack) -> None:
-        """Runs ``commit`` and then leaves ``held`` (the lock and the folder of the stage)."""
-
-        def run() -> None:
-            with held:
-                commit()
-
-        self._underway.append(self._thread.submit(run))
-        self._raise_failures()
-
-    def _raise_failures(self) -> None:
-        for future in self._underway:
-            if future.done():
-                future.result()
-
-    def __enter__(self) -> Commits:
-        return self
-
-    def __exit__(self, kind: object, error: BaseException | None, trace: object) -> None:
-        self._hasher.shutdown()
-        self._thread.shutdown()
-        if error is None:
-            self._raise_failures()
 
 
 class Store:
@@ -337,7 +239,7 @@ class Store:
             if sum(p.stat().st_size for p in paths.values()) < LARGE_BYTES:
                 record = made()
                 self.commit(record, folder)
-                return Begun(_completed(record), cached=False)
+                return Begun(completed(record), cached=False)
             hashed = later.hash(made)
             later.take(partial(self._sync_and_commit, list(paths.values()), hashed, folder), held.pop_all())
             return Begun(hashed, cached=False)
