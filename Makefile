@@ -18,7 +18,7 @@ help:
 	@echo "make soak      200 small cases while processes are killed at random: nothing may be lost (ten minutes)"
 	@echo "make validate  verification of the compression, robustness, the paper's cups and figures (an hour)"
 
-install: $(VENV)/.installed
+install: $(VENV)/.compiled
 install-dev: $(VENV)/.installed-dev
 
 $(BIN)/python:
@@ -28,6 +28,11 @@ $(BIN)/python:
 $(VENV)/.installed: $(BIN)/python requirements.lock pyproject.toml
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --require-hashes -r requirements.lock
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-deps --no-build-isolation -e .
+	@touch $@
+
+# Compiled kernels stay beside the sources; what is compiled already takes no time.
+$(VENV)/.compiled: $(VENV)/.installed
+	$(BIN)/tomosim warm-up
 	@touch $@
 
 $(VENV)/.installed-dev: $(VENV)/.installed requirements-dev.lock

@@ -103,6 +103,7 @@ def _parser() -> argparse.ArgumentParser:
     operator.add_commands(commands)
 
     p = commands.add_parser("warm-up", help="compile all kernels once, so that the first case is as fast as the next")
+    p.add_argument("--processes", type=_positive, metavar="N", help="that compile at the same time (as many as cores)")
     p.set_defaults(run=_warm_up)
     return parser
 
@@ -203,6 +204,7 @@ def _simulate(args: argparse.Namespace) -> None:
         print(f"tomosim: {remark}", file=sys.stderr)
     from simcore import pipeline  # the kernels take a second to load: a wrong specification is told before
 
+    _compile_if_cold(args.threads)
     _set_threads(args.threads)
     store = Store(args.data / "store")
     store.sweep_temporary()
@@ -210,6 +212,16 @@ def _simulate(args: argparse.Namespace) -> None:
         result = pipeline.run(spec, store, display)
     result.write(args.out)
     _summary(result.manifest, args.out)
+
+
+def _compile_if_cold(threads: int | None) -> None:
+    """The first case of an installation would compile with one processor, kernel after kernel, what several can."""
+    from simcore import warmup
+
+    processes = min(threads or warmup.cores(), warmup.cores())
+    if processes > 1 and warmup.is_cold():
+        print(f"tomosim: kernels are compiled, once, by {processes} processes", file=sys.stderr, flush=True)
+        warmup.compile_all(processes, _tell_compiled, warmup.OF_MOST_CASES)
 
 
 def _set_threads(count: int | None) -> None:
@@ -361,22 +373,10 @@ def _read_json(path: Path, what: str) -> Any:
 
 
 def _warm_up(args: argparse.Namespace) -> None:
-    import tempfile
+    from simcore import warmup
 
-    from simcore import pipeline, presets
-    from simcore.core.store import Store
-    from simcore.phantom.spec import DuctSpec, TextureSpec
-    from simcore.projection.spec import SlabSpec
-    from tomosim.console import StageDisplay
+    warmup.compile_all(args.processes or warmup.cores(), _tell_compiled)
 
-    tiny = presets.get("tiny")
-    variants = [
-        tiny,
-        tiny.with_(physics=tiny.physics.with_(sampling="trilinear", rays_per_pixel_edge=2)),
-        tiny.with_(acquisition=tiny.acquisition.with_(detector_range_degrees=4.0, paddle=SlabSpec())),
-        tiny.with_(phantom=tiny.phantom.with_(texture=TextureSpec(amplitude_mm=1.0), ducts=DuctSpec())),
-    ]
-    with tempfile.TemporaryDirectory() as folder:
-        for spec in variants:
-            with StageDisplay() as display:
-                pipeline.run(spec, Store(folder), display)
+
+def _tell_compiled(part: str, fraction: float) -> None:
+    print(f"tomosim: compiled {part}, {fraction:.0%}", file=sys.stderr, flush=True)

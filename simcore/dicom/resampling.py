@@ -94,7 +94,8 @@ def _encode_plane(
 def _join_rows(packed: NDArray[np.uint8], sizes: NDArray[np.int64], joined: NDArray[np.uint8]) -> None:
     start = 0
     for j in range(sizes.size):
-        joined[start : start + sizes[j]] = packed[j, : sizes[j]]
+        for i in range(sizes[j]):
+            joined[start + i] = packed[j, i]
         start += sizes[j]
 
 

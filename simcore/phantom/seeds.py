@@ -249,7 +249,8 @@ def _farthest(
                 nearest = min(nearest, gap / reach**2)
             if nearest > best:
                 best = nearest
-                chosen[s] = candidates[s, c]
+                for axis in range(3):
+                    chosen[s, axis] = candidates[s, c, axis]
     return chosen
 
 

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from simcore.core.tissues import MAX_TISSUES
+from simcore.simd.vector import word_at
 from simcore.warp.maps import TetMaps
 from simcore.warp.pieces import Pieces
 
@@ -83,7 +84,8 @@ def _rasterise(
         box = np.empty((2, 3), np.int64)
         for entry in range(start[slab], start[slab + 1]):
             p = order[entry]
-            box[:] = bounds[p]
+            for axis in range(3):
+                box[0, axis], box[1, axis] = bounds[p, 0, axis], bounds[p, 1, axis]
             box[0, 1] = max(box[0, 1], slab * SLAB_ROWS)
             box[1, 1] = min(box[1, 1], slab * SLAB_ROWS + SLAB_ROWS - 1)
             counts = _planes(barycentric[tet[p]], slack[p], outside[p], planes)
@@ -212,7 +214,9 @@ def _spans(start: float, change: float, size: int) -> bool:
 
 def census(labels: NDArray[np.uint8]) -> NDArray[np.int64]:
     """Voxels of every label, int64 (MAX_TISSUES,)."""
-    counts: NDArray[np.int64] = _census(labels).sum(axis=0)
+    unchanged = labels.view()
+    unchanged.flags.writeable = False  # as those of the phantom: one kernel to compile, not two
+    counts: NDArray[np.int64] = _census(unchanged).sum(axis=0)
     return counts
 
 
@@ -226,15 +230,17 @@ def _census(labels: NDArray[np.uint8]) -> NDArray[np.int64]:
         for j in range(ny):
             row = labels[k, j]
             # Neighbours are mostly alike: eight of them are one comparison.
-            for n, word in enumerate(row[:whole].view(np.uint64)):
+            for first in range(0, whole, 8):
+                word = word_at(row, first)
                 if word == (word & np.uint64(255)) * EACH_BYTE:
                     table[word & np.uint64(255)] += 8
                 else:
-                    for i in range(8 * n, 8 * n + 8):
+                    for i in range(first, first + 8):
                         table[row[i]] += 1
             for i in range(whole, nx):
                 table[row[i]] += 1
-        counts[k] = table[:MAX_TISSUES]
+        for tissue in range(MAX_TISSUES):
+            counts[k, tissue] = table[tissue]
     return counts
 
 
@@ -246,10 +252,12 @@ def count_holes(labels: NDArray[np.uint8]) -> int:
     whole = nx - nx % 8
     for k in numba.prange(1, nz - 1):
         for j in range(1, ny - 1):
-            for n, word in enumerate(labels[k, j, :whole].view(np.uint64)):
+            row = labels[k, j]
+            for first in range(0, whole, 8):
+                word = word_at(row, first)
                 # All air, or no byte of it: most rows have nothing in between.
                 if word != 0 and (word - EACH_BYTE) & ~word & (EACH_BYTE << np.uint64(7)):
-                    found[k] += _holes(labels, k, j, max(8 * n, 1), min(8 * n + 8, nx - 1))
+                    found[k] += _holes(labels, k, j, max(first, 1), min(first + 8, nx - 1))
             found[k] += _holes(labels, k, j, max(whole, 1), nx - 1)
     return int(found.sum())
 

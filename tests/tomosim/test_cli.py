@@ -9,8 +9,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from simcore import presets
+from simcore import presets, warmup
 from simcore.spec import SimulationSpec
+from tomosim import cli
 from tomosim.cli import _summary
 
 
@@ -148,3 +149,13 @@ def test_the_summary_of_a_run_shows_what_became_of_the_volume(capsys: pytest.Cap
     told = capsys.readouterr()
     assert "volume 60.0 ml (59.2 ml compressed), glandularity" in told.out
     assert told.err == "tomosim: 1 objects of calcification touch another one after compression\n"
+
+
+@pytest.mark.parametrize(("cold", "threads", "processes"), [(True, None, 2), (True, 1, None), (False, None, None)])
+def test_the_first_case_of_an_installation_compiles_with_several_processes(monkeypatch, cold, threads, processes):
+    compiled = []
+    monkeypatch.setattr(warmup, "cores", lambda: 2)
+    monkeypatch.setattr(warmup, "is_cold", lambda: cold)
+    monkeypatch.setattr(warmup, "compile_all", lambda count, tell, names: compiled.append((count, names)))
+    cli._compile_if_cold(threads)
+    assert compiled == ([(processes, warmup.OF_MOST_CASES)] if processes else [])

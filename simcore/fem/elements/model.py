@@ -10,13 +10,13 @@ from numba import njit
 from numpy.typing import NDArray
 
 from simcore.core.artifacts import TetMesh
-from simcore.fem.blocks import empty as aligned
 from simcore.fem.elements.geometry import Array, shape_gradients
 from simcore.fem.elements.linear_strain import assemble_linear_strain
 from simcore.fem.elements.membrane import Membrane
 from simcore.fem.elements.neo_hookean import assemble_neo_hookean
 from simcore.fem.elements.principal import assemble_principal
 from simcore.fem.laws.of_elements import ElementLaws
+from simcore.simd import aligned
 
 Floats = NDArray[np.float64]
 
@@ -46,7 +46,8 @@ def _upper_half(tets: Array, node_count: int) -> tuple[Array, Array, Array]:
     for e in range(tets.shape[0]):
         for a in range(4):
             room[tets[e, a] + 1] += 4 - a
-    room = np.cumsum(room)
+    for row in range(node_count):
+        room[row + 1] += room[row]
     found, count = np.empty(room[-1], np.int32), np.zeros(node_count, np.int64)
     for e in range(tets.shape[0]):
         for a in range(4):
@@ -60,10 +61,16 @@ def _upper_half(tets: Array, node_count: int) -> tuple[Array, Array, Array]:
                     found[k] = tets[e, b]
                     count[row] += 1
     row_start = np.zeros(node_count + 1, np.int32)
-    row_start[1:] = np.cumsum(count)
+    for row in range(node_count):
+        row_start[row + 1] = row_start[row] + count[row]
     column = np.empty(row_start[-1], np.int32)
     for row in range(node_count):
-        column[row_start[row] : row_start[row + 1]] = np.sort(found[room[row] : room[row] + count[row]])
+        for k in range(count[row]):
+            place = row_start[row] + k
+            while place > row_start[row] and column[place - 1] > found[room[row] + k]:
+                column[place] = column[place - 1]
+                place -= 1
+            column[place] = found[room[row] + k]
     block_of = np.empty((tets.shape[0], 10), np.int32)
     for e in range(tets.shape[0]):
         pair = 0
@@ -93,7 +100,7 @@ class System:
     @classmethod
     def empty(cls, node_count: int, block_count: int, *, single: bool = False) -> System:
         """single: blocks in single precision."""
-        blocks = aligned(block_count, 4, 4) if single else np.empty((block_count, 4, 4))
+        blocks = aligned.empty(block_count, 4, 4) if single else np.empty((block_count, 4, 4))
         return cls(np.empty((node_count, 3)), np.empty(node_count), blocks)
 
     @property
@@ -169,6 +176,10 @@ class Model:
         """single: its blocks in single precision."""
         return System.empty(len(self.nodes), len(self.pattern.column), single=single)
 
+    def without_tangent(self) -> System:
+        """For forces and volumes alone; in the precision of the solver, whose kernel is compiled."""
+        return System.empty(len(self.nodes), 0, single=True)
+
     def assemble(self, displacement: Floats, pressure: Floats, system: System, *, with_tangent: bool = True) -> float:
         """Forces, volumes and, if asked for, the tangent of a state into ``system``.
 
@@ -192,7 +203,7 @@ class Model:
 
     def internal_force(self, displacement: Floats, pressure: Floats) -> Floats:
         """Nodal forces of a state less the dead load, (n, 3), N: what plates and chest wall must carry."""
-        system = System.empty(len(self.nodes), 0)
+        system = self.without_tangent()
         self.assemble(displacement, pressure, system, with_tangent=False)
         return system.force
 

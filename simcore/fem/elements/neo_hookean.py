@@ -17,8 +17,9 @@ from typing import Any
 import numpy as np
 from numba import njit
 
-from simcore.fem.blocks import add, in_columns, in_rows, on_diagonal, plus, row_of, times, times_plus
+from simcore.fem.blocks import add, in_columns, in_rows, on_diagonal, row_of
 from simcore.fem.elements.geometry import Array, cofactors, deformation
+from simcore.simd.vector import fma, plus, times
 
 
 @njit(cache=True, nogil=True)
@@ -146,6 +147,6 @@ def _node(blocks: Array, of_element: Any, f: Any, q: Any) -> Any:
 @njit(inline="always")
 def _add_block(blocks: Array, k: int, one: Any, other: Any, diagonal: float) -> None:
     block = times(in_columns(one[0]), in_rows(other[1]))
-    block = times_plus(in_columns(other[2]), in_rows(one[0]), block)
-    block = times_plus(in_columns(one[3]), in_rows(other[4]), block)
+    block = fma(in_columns(other[2]), in_rows(one[0]), block)
+    block = fma(in_columns(one[3]), in_rows(other[4]), block)
     add(blocks, k, plus(on_diagonal(row_of(blocks, diagonal, diagonal, diagonal, 0.0)), block))

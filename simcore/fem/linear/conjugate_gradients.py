@@ -15,22 +15,10 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from simcore.fem.blocks import (
-    Singles,
-    add,
-    block_at,
-    empty,
-    in_columns,
-    in_rows,
-    put,
-    row_at,
-    row_of,
-    sum_of_columns,
-    sum_of_rows,
-    times,
-    times_plus,
-)
+from simcore.fem.blocks import add, block_at, in_columns, in_rows, put, row_at, row_of, sum_of_columns, sum_of_rows
 from simcore.fem.team import LEAVE, begin, finish, tickets, together
+from simcore.simd.aligned import Singles, empty
+from simcore.simd.vector import fma, times
 
 Array = NDArray[Any]
 
@@ -167,7 +155,7 @@ def _upper_half(operator: Any, part: int, x: Array, y: Array) -> None:
         for k in range(diagonal + 1, operator.row_start[a + 1]):
             b = column[k]
             block = block_at(blocks, k)
-            here = times_plus(block, in_rows(row_at(x, b)), here)
+            here = fma(block, in_rows(row_at(x, b)), here)
             add(y, b, sum_of_rows(times(block, from_here)))
         add(y, a, sum_of_columns(here))
 
@@ -176,7 +164,8 @@ def _upper_half(operator: Any, part: int, x: Array, y: Array) -> None:
 def _pressure(operator: Any, part: int, products: Array, pressure: Array) -> None:
     """pressure = C^-1 B^T x in the part's rows."""
     start, stop = operator.first[part], operator.first[part + 1]
-    pressure[start:stop] = products[part, start:stop, 3]
+    for a in range(start, stop):
+        pressure[a] = products[part, a, 3]
     for other in range(part):
         for a in range(start, min(stop, operator.reach[other])):
             pressure[a] += products[other, a, 3]
@@ -191,11 +180,11 @@ def _coupled(operator: Any, part: int, pressure: Array, y: Array) -> None:
     for a in range(operator.first[part], operator.first[part + 1]):
         diagonal = operator.row_start[a]
         from_here = _four_times(y, pressure[a])
-        here = times_plus(row_at(coupling, 2 * diagonal), from_here, row_at(y, a))
+        here = fma(row_at(coupling, 2 * diagonal), from_here, row_at(y, a))
         for k in range(diagonal + 1, operator.row_start[a + 1]):
             b = column[k]
-            here = times_plus(row_at(coupling, 2 * k), _four_times(y, pressure[b]), here)
-            put(y, b, times_plus(row_at(coupling, 2 * k + 1), from_here, row_at(y, b)))
+            here = fma(row_at(coupling, 2 * k), _four_times(y, pressure[b]), here)
+            put(y, b, fma(row_at(coupling, 2 * k + 1), from_here, row_at(y, b)))
         put(y, a, here)
 
 
@@ -207,8 +196,9 @@ def _four_times(like: Array, t: float) -> Any:
 @njit(cache=True, nogil=True)
 def _gathered(operator: Any, part: int, products: Array, y: Array) -> None:
     """y in the part's rows: what this part and those before it have of it."""
-    start, stop = operator.first[part], operator.first[part + 1]
-    y[start:stop] = products[part, start:stop]
+    start, stop, own = operator.first[part], operator.first[part + 1], products[part]
+    for a in range(start, stop):
+        put(y, a, row_at(own, a))
     for other in range(part):
         for a in range(start, min(stop, operator.reach[other])):
             add(y, a, row_at(products[other], a))

@@ -81,9 +81,12 @@ def _glide(S: Array, free: Array, normal: Array, M: Array) -> None:
             P[i, j] = 0.0
             if free[i] and free[j]:
                 P[i, j] = (1.0 if i == j else 0.0) - normal[i] * normal[j] / square
-    T[:] = P @ S @ P
+    across = P @ S @ P
     for i in range(3):
         for j in range(3):
-            T[i, j] += (1.0 if i == j else 0.0) - P[i, j]
+            T[i, j] = across[i, j] + ((1.0 if i == j else 0.0) - P[i, j])
     _invert_symmetric(T, U)
-    M[:] = P @ U @ P
+    across = P @ U @ P
+    for i in range(3):
+        for j in range(3):
+            M[i, j] = across[i, j]

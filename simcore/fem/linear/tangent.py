@@ -9,12 +9,12 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from simcore.fem.blocks import Singles, empty
 from simcore.fem.elements.model import Floats, Pattern, System
 from simcore.fem.linear import conjugate_gradients
 from simcore.fem.linear.conjugate_gradients import Guarded, Operator, project
 from simcore.fem.linear.preconditioner import invert_diagonal
 from simcore.fem.plates.constraints import Constraints
+from simcore.simd.aligned import Singles, empty
 
 Array = NDArray[Any]
 

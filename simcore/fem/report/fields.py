@@ -71,8 +71,9 @@ def _edges(points: Floats, mesh: TetMesh) -> Floats:
 
 def _nodal_tension(model: Model, displacement: Floats) -> Floats:
     """kappa U'(J) of the volume averaged at the nodes, (n,), N/mm^2."""
-    system = model.system()
-    model.assemble(displacement, np.zeros(len(displacement)), system, with_tangent=False)
+    system = model.without_tangent()
+    own = np.array(displacement)  # not read-only: that would be one more kernel to compile
+    model.assemble(own, np.zeros(len(own)), system, with_tangent=False)
     ratio = system.node_volume / model.node_volume
     if model.laws.linear is not None:
         return model.node_bulk * (ratio - 1)

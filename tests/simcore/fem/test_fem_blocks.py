@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from simcore.fem import blocks as b
 from simcore.fem.elements.model import Pattern
 from simcore.mesh.structured import box
+from simcore.simd.vector import fma, plus, times
 
 
 @njit
@@ -20,9 +21,9 @@ def _every_operation(blocks: Any, rows: Any, out: Any, sums: Any) -> None:
     block = b.block_at(blocks, 1)
     b.put(out, 0, b.in_rows(row))
     b.put(out, 1, b.in_columns(row))
-    b.put(out, 2, b.times(block, b.in_rows(row)))
-    b.put(out, 3, b.times_plus(block, b.in_columns(row), b.block_at(blocks, 0)))
-    b.put(out, 4, b.plus(b.on_diagonal(row), block))
+    b.put(out, 2, times(block, b.in_rows(row)))
+    b.put(out, 3, fma(block, b.in_columns(row), b.block_at(blocks, 0)))
+    b.put(out, 4, plus(b.on_diagonal(row), block))
     b.add(out, 4, block)
     b.put(sums, 0, b.sum_of_rows(block))
     b.put(sums, 1, b.sum_of_columns(block))
@@ -45,14 +46,6 @@ def test_operations_on_blocks_are_numpys(kind: type[np.floating[Any]]) -> None:
     assert sums[0] == pytest.approx(block.sum(axis=0), rel=tolerance, abs=4 * tolerance)
     assert sums[1] == pytest.approx(block.sum(axis=1), rel=tolerance, abs=4 * tolerance)
     assert sums[2] == pytest.approx(row + np.array([1, 2.5, 3, 4]), rel=tolerance)
-
-
-def test_blocks_begin_on_a_cache_line() -> None:
-    for count in (1, 7, 1000):
-        array = b.empty(count, 4, 4)
-        assert array.shape == (count, 4, 4)
-        assert array.flags.c_contiguous
-        assert array.ctypes.data % b.LINE_BYTES == 0
 
 
 def test_the_pattern_holds_every_pair_of_corners_once() -> None:
