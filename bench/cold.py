@@ -4,7 +4,8 @@
 
 Each case is a fresh process (``tomosim simulate``) on a store of its own; compiled kernels go to an empty folder.
 ``--against``: the same with another revision, before and after this one, on the same machine: of its two first cases
-the mean is taken. Last line: one JSON object, first_case_seconds and second_case_seconds among others.
+the mean is taken. Processor seconds are those of all processes together: on a machine that others use too they tell
+more. Last line: one JSON object, first_case_seconds and second_case_seconds among others.
 """
 
 from __future__ import annotations
@@ -12,6 +13,7 @@ from __future__ import annotations
 import argparse
 import json
 import os
+import resource
 import statistics
 import subprocess
 import sys
@@ -49,13 +51,14 @@ def main() -> int:
 def first_and_second(tree: Path, preset: str, folder: Path) -> dict[str, Any]:
     """Seconds of the whole commands."""
     folder.mkdir()
-    seconds = []
+    seconds, processor_seconds = [], []
     environment = {**os.environ, "PYTHONPATH": str(tree), "NUMBA_CACHE_DIR": str(folder / "kernels")}
     tomosim = [sys.executable, "-m", "tomosim"]
     spec = folder / "spec.json"
-    spec.write_bytes(subprocess.run([*tomosim, "presets", preset], check=True, capture_output=True).stdout)
+    printed = subprocess.run([*tomosim, "presets", preset], check=True, cwd=tree, env=environment, capture_output=True)
+    spec.write_bytes(printed.stdout)
     for case in ("first", "second"):
-        start = time.perf_counter()
+        start, start_of_processor = time.perf_counter(), _processor_seconds()
         out, data = str(folder / case / "out"), str(folder / case / "data")
         subprocess.run(
             [*tomosim, "simulate", str(spec), "--out", out, "--data", data],
@@ -65,8 +68,20 @@ def first_and_second(tree: Path, preset: str, folder: Path) -> dict[str, Any]:
             stdout=sys.stderr,
         )
         seconds.append(round(time.perf_counter() - start, 2))
+        processor_seconds.append(round(_processor_seconds() - start_of_processor, 2))
         print(f"{tree.name}, {case} case: {seconds[-1]} s", file=sys.stderr, flush=True)
-    return {"first_case_seconds": seconds[0], "second_case_seconds": seconds[1]}
+    return {
+        "first_case_seconds": seconds[0],
+        "second_case_seconds": seconds[1],
+        "first_case_processor_seconds": processor_seconds[0],
+        "second_case_processor_seconds": processor_seconds[1],
+    }
+
+
+def _processor_seconds() -> float:
+    """Of all processes that this one has started and that have ended, and of theirs."""
+    used = resource.getrusage(resource.RUSAGE_CHILDREN)
+    return used.ru_utime + used.ru_stime
 
 
 if __name__ == "__main__":
