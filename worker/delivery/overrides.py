@@ -2,7 +2,7 @@
 
 What it leaves open is closed here: a failure is remembered, a peer that stops reading ends the association (a time
 limit on every byte of the socket: nothing else ends a blocked send), the sender waits for the network instead of
-queueing a whole file, bandwidth is shared, and a rejection that comes quickly is read.
+queueing a whole file, bandwidth is shared, a rejection that comes quickly is read, and so is every answer.
 """
 
 from __future__ import annotations
@@ -172,6 +172,39 @@ def _send_data(association: Association) -> Callable[[Any], None]:
     return send
 
 
+class Checkpoint:
+    """Where pynetdicom's own thread of an association waits while we wait for an answer. Set to begin with.
+
+    With the event of pynetdicom the thread may have passed when the association still says that it is paused; it then
+    takes the answer for a request and throws it away, and an instance that was stored is sent again. Here passing and
+    saying so are one step.
+    """
+
+    def __init__(self, association: Any) -> None:
+        self._association = association
+        self._is_set = True
+        self._changed = threading.Condition()
+
+    def is_set(self) -> bool:
+        return self._is_set
+
+    def set(self) -> None:
+        with self._changed:
+            self._is_set = True
+            self._changed.notify_all()
+
+    def clear(self) -> None:
+        with self._changed:
+            self._is_set = False
+
+    def wait(self, timeout: float | None = None) -> bool:
+        with self._changed:
+            passes = self._changed.wait_for(lambda: self._is_set, timeout)
+            if passes:
+                self._association._is_paused = False
+            return passes
+
+
 _PDU_HEADER = struct.Struct(">BxIIB")
 """P-DATA-TF with one item: type, length, length of the item, presentation context (PS3.8 section 9.3.5)."""
 
@@ -202,6 +235,7 @@ class Entity(AE):
         used.count = self._count
         assoc.dul.to_provider_queue = PatientQueue(assoc)
         assoc.dul._send = _send_data(assoc)
+        assoc._reactor_checkpoint = Checkpoint(assoc)  # type: ignore[assignment]
         self.socket = used
         return used
 
