@@ -38,6 +38,9 @@ logging.getLogger("pynetdicom").setLevel(logging.CRITICAL)
 BATCH_BYTES = 1 << 18
 """Data goes to the socket in portions of about this size."""
 
+LOOK_SECONDS = 0.05
+"""A paused association says so at least this often."""
+
 QUEUE_LENGTH = 4
 """Portions that may wait for the socket."""
 
@@ -196,13 +199,16 @@ class Checkpoint:
     def clear(self) -> None:
         with self._changed:
             self._is_set = False
+            self._changed.notify_all()
 
-    def wait(self, timeout: float | None = None) -> bool:
+    def wait(self) -> bool:
         with self._changed:
-            passes = self._changed.wait_for(lambda: self._is_set, timeout)
-            if passes:
-                self._association._is_paused = False
-            return passes
+            while not self._is_set:
+                # Said again and again: a thread that serves a report says otherwise when it ends.
+                self._association._is_paused = True
+                self._changed.wait(LOOK_SECONDS)
+            self._association._is_paused = False
+        return True
 
 
 _PDU_HEADER = struct.Struct(">BxIIB")

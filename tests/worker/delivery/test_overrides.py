@@ -3,6 +3,7 @@
 import importlib.util
 import sys
 import threading
+import time
 from contextlib import closing
 from pathlib import Path
 from types import SimpleNamespace
@@ -59,6 +60,24 @@ def passed_while_paused(checkpoint, association, pauses=3000):
 def test_a_paused_association_takes_no_answer(hasty):
     association = SimpleNamespace(_is_paused=False)
     assert passed_while_paused(Checkpoint(association), association) == 0
+
+
+def test_a_report_that_ends_does_not_hide_that_an_association_is_paused():
+    """pynetdicom serves an N-EVENT-REPORT on a thread of its own, which says in the end that nothing is paused."""
+    association = SimpleNamespace(_is_paused=False)
+    checkpoint = Checkpoint(association)
+    checkpoint.clear()
+    thread = threading.Thread(target=checkpoint.wait)
+    thread.start()
+    for _ in range(3):
+        association._is_paused = False
+        checkpoint.clear()
+        limit = time.monotonic() + 5
+        while not association._is_paused:
+            assert time.monotonic() < limit
+    checkpoint.set()
+    thread.join(5)
+    assert not thread.is_alive()
 
 
 def test_the_event_of_pynetdicom_lets_it_pass(hasty):
