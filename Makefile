@@ -94,7 +94,7 @@ validate: install-dev test-production
 
 # Needs uv. Versions and hashes for every platform; no address of any registry.
 UV ?= uv
-COMPILE = $(UV) pip compile pyproject.toml --universal --python-version 3.11 --generate-hashes --no-emit-index-url \
+COMPILE = $(UV) pip compile pyproject.toml --universal --python-version 3.11 --generate-hashes \
 	--no-header --no-annotate --quiet --all-extras --group build
 lock:
 	$(COMPILE) --group dev --output-file requirements-dev.lock
