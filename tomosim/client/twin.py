@@ -1,26 +1,20 @@
-"""``python -m tomosim.client.twin``: writes ``sync_client.py`` from ``async_client.py``, so that they never differ."""
+"""``python -m tomosim.client.twin``: writes what waits (``sync_...``) from what does not, so that they never differ."""
 
 from __future__ import annotations
 
 import re
 from pathlib import Path
 
-SOURCE = Path(__file__).with_name("async_client.py")
-TARGET = Path(__file__).with_name("sync_client.py")
-
-HEAD = '''"""The client for programs that wait.
-
-Made from ``async_client.py`` by ``python -m tomosim.client.twin``: change that one.
-"""
-'''
+FOLDER = Path(__file__).parent
+HEADS = {
+    "client": "The client for programs that wait.",
+    "transport": "How the client that waits asks: requests that are tried again, pages, events, files.",
+}
+"""What the head of each twin says."""
 
 REPLACEMENTS = (
-    (r'\A""".*?"""\n', HEAD.replace("\\", r"\\")),
     (r"import anyio\n", ""),
-    (
-        r"from collections\.abc import AsyncIterator, Callable, Mapping, Sequence",
-        "from collections.abc import Callable, Iterator, Mapping, Sequence",
-    ),
+    (r"from collections\.abc import AsyncIterator, Callable", "from collections.abc import Callable, Iterator"),
     (r"from __future__ import annotations\n\n", "from __future__ import annotations\n\nimport time\n"),
     (r"await anyio\.sleep", "time.sleep"),
     (r"await run_in_thread\(([\w.]+), ", r"\1("),
@@ -29,22 +23,33 @@ REPLACEMENTS = (
     (r"\bawait ", ""),
     (r"\basync (def|with|for)\b", r"\1"),
     (r"\basynccontextmanager\b", "contextmanager"),
-    (r"\bAsync(Client|Iterator|BaseTransport)\b", r"\1"),
-    (r"\bAsyncBaseTransport\b", "BaseTransport"),
+    (r"\bAsync(Client|Iterator|BaseTransport|Transport)\b", r"\1"),
+    (r"\basync_transport\b", "sync_transport"),
     (r"\b__a(enter|exit)__\b", r"__\1__"),
     (r"\baclose\(", "close("),
     (r"\ba(iter_lines|iter_bytes|read)\b", r"\1"),
-    (r"for item in found\.items:\n +yield item", "yield from found.items"),
+    (r"for item in batch\.items:\n +yield item", "yield from batch.items"),
     (r"\basync_chunks_of\b", "chunks_of"),
 )
 
 
-def twin(text: str) -> str:
-    """The source of the client that waits."""
+def source(name: str) -> Path:
+    return FOLDER / f"async_{name}.py"
+
+
+def target(name: str) -> Path:
+    return FOLDER / f"sync_{name}.py"
+
+
+def twin(name: str) -> str:
+    """The source of a module that waits, before ruff sorts its imports and formats it."""
+    text = source(name).read_text().split('"""', 2)[2]
     for pattern, replacement in REPLACEMENTS:
-        text = re.sub(pattern, replacement, text, flags=re.DOTALL if pattern.startswith(r"\A") else 0)
-    return text
+        text = re.sub(pattern, replacement, text)
+    command = "python -m tomosim.client.twin"
+    return f'"""{HEADS[name]}\n\nMade from ``{source(name).name}`` by ``{command}``: change that one.\n"""{text}'
 
 
 if __name__ == "__main__":
-    TARGET.write_text(twin(SOURCE.read_text()))
+    for name in HEADS:
+        target(name).write_text(twin(name))
