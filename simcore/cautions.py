@@ -47,8 +47,9 @@ def _of_projections(spec: SimulationSpec, report: Report) -> Iterator[str]:
     least = report.get("min_pixel_value")
     if least is not None and least < FEWEST_STEPS:
         detector = spec.acquisition.detector
+        largest = least * HIGHEST_OPEN_FIELD / detector.open_field_value
         remedy = one_of(
-            where(detector.open_field_value < HIGHEST_OPEN_FIELD, "a larger acquisition.detector.open_field_value"),
+            where(largest >= FEWEST_STEPS, "a larger acquisition.detector.open_field_value"),
             "a larger physics.energy_keV",
         )
         error = "all of it" if least == 0 else f"{50 / least:.2g} %"

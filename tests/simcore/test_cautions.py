@@ -41,8 +41,10 @@ def test_a_case_without_limits_has_no_cautions() -> None:
     assert cautions(SPEC, reports) == []
 
 
-def test_a_detector_at_its_largest_value_is_not_asked_for_more() -> None:
-    detector = SPEC.acquisition.detector.with_(open_field_value=65535.0)
+@pytest.mark.parametrize(("value", "least", "helps"), [(65535.0, 99, False), (30000.0, 60, True), (30000.0, 3, False)])
+def test_a_larger_open_field_is_advised_only_where_it_suffices(value: float, least: int, helps: bool) -> None:
+    detector = SPEC.acquisition.detector.with_(open_field_value=value)
     spec = SPEC.with_(acquisition=SPEC.acquisition.with_(detector=detector))
-    (sentence,) = cautions(spec, {"projection": {"min_pixel_value": 3}})
-    assert sentence.endswith("take a larger physics.energy_keV")
+    (sentence,) = cautions(spec, {"projection": {"min_pixel_value": least}})
+    assert ("open_field_value" in sentence) is helps
+    assert sentence.endswith("a larger physics.energy_keV")

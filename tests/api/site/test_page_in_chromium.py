@@ -60,6 +60,8 @@ def test_the_page_works_with_api_keys_on(browser: Browser, url: str):
     browser.value("document.querySelector('#new button').click()")
     wait_for(lambda: browser.value("document.querySelectorAll('article').length") == 1)
     assert browser.value("document.querySelector('article .state').textContent") == "queued"
+    shown = browser.value("cautions({cautions: ['a < b', 'c']}).map(node => node.textContent).join('|')")
+    assert shown == "a < b|c"
 
 
 def test_challenges_stand_in_lines_of_their_own(url: str):
