@@ -38,7 +38,7 @@ def _of_warp(report: Report) -> Iterator[str]:
         if counts["lost"]:
             yield f"{counts['lost']} objects of {tissue} have no place after compression; take smaller voxels"
     if report.get("holes"):
-        yield f"{report['holes']} voxels of air inside the compressed breast; take a smaller mesh.edge_length_mm"
+        yield f"{report['holes']} voxels of the compressed breast are air with tissue on all six sides"
 
 
 def _of_projections(spec: SimulationSpec, report: Report) -> Iterator[str]:
