@@ -130,6 +130,17 @@ def test_a_wall_that_drifts_or_rolls_does_not_pass_as_equilibrium(
         verify(solver, replace(squeezed, state=state), squeezed.state.plates)
 
 
+def test_a_guard_that_carries_more_than_drift_and_roll_does_not_pass(mesh: TetMesh, solver: Solver) -> None:
+    """The solver's own residual does not see it: it leaves out what the guard carries."""
+    y, z = mesh.nodes[solver.guard.nodes, 1:].T
+    vectors = np.linalg.qr(np.stack([np.ones(len(z)), z, y], axis=1))[0]  # keeps the wall from spreading, too
+    wrong = replace(solver, guard=Guard(solver.guard.nodes, np.ascontiguousarray(vectors)))
+    solution = follow(wrong, Contact.none(mesh.skin, len(mesh.nodes)).holding(mesh.wall), Target(20.0))
+    assert isinstance(solution.state.plates, Plates)
+    with pytest.raises(SolverError, match="takes no more than a force and a moment"):
+        verify(wrong, solution, solution.state.plates)
+
+
 def test_the_guard_needs_no_force_along_y() -> None:
     mesh = half_ellipsoid(LOPSIDED, 8)
     report = compress(mesh, ONE_TISSUE, CompressionSpec(percent=45.0)).report
