@@ -95,7 +95,7 @@ class CompressionSpec(Spec):
     skin: SkinMembrane | None = Field(None, description="membrane on the surface; none where not given")
     gravity: Gravity | None = Field(None, description="weight of the tissue; none where not given")
     friction: float = quantity(
-        "Coulomb's coefficient of skin on the plates; with friction at least 10 load steps are taken",
+        "Coulomb's coefficient of skin on the plates; with friction a load step is a tenth of the way at most",
         unit="1",
         default=0.0,
         ge=0.0,

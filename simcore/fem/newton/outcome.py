@@ -25,6 +25,8 @@ FAULTS = {
     "not-converged": "Newton's method did not converge within {iterations} iterations, however short the load step",
     "linear-system": "conjugate gradients did not solve a linear system within {limit} iterations, however short the "
     "load step",
+    "unsettled-plates": "breast and plates that give way did not come to rest within {rounds} rounds, however short "
+    "the load step",
     "unstable-equilibrium": "the tangent stiffness is not positive, the breast would buckle",
     "unstable-material": "the material law loses its stability (St. Venant-Kirchhoff at a principal stretch of 0.577 "
     "at the latest; the least is {stretch:.3f})",
@@ -34,6 +36,8 @@ FAULTS = {
     "of the breast, where at most {limit:g} is meaningful",
     "target-not-reached": "the plates press with {force:.4g} N where force_N = {target:g} is wanted and percent "
     "allows no more",
+    "force-not-met": "the plates press with {force:.4g} N at {percent:.4g} % and with {beyond:.4g} N at {further:.4g} "
+    "%, and within {steps} load steps no place between was found where they press with force_N = {target:g} N",
 }
 """What each code means; the codes are stable."""
 
@@ -79,6 +83,12 @@ def _wider_edge(spec: CompressionSpec) -> str | None:
     return where(spec.chest_wall != "free_in_plane" and spec.plate_edge_mm < 200.0, "a wider plate_edge_mm")
 
 
+def _stiffer_plates(spec: CompressionSpec) -> str | None:
+    if spec.elastic_plates is None:
+        return where(spec.spring_paddle is not None, "a stiffer spring_paddle")
+    return "thicker elastic_plates"
+
+
 def _more_percent(spec: CompressionSpec) -> str | None:
     return where(spec.percent < MOST_PERCENT, "a larger percent")
 
@@ -87,12 +97,14 @@ REMEDIES: dict[str, tuple[Remedy, ...]] = {
     "inverted-element": (_less, _finer_mesh, _poissons_ratio, _wider_edge),
     "not-converged": (_less, _finer_mesh, _poissons_ratio, _wider_edge),
     "linear-system": (_less, _coarser_mesh, _poissons_ratio),
+    "unsettled-plates": (_stiffer_plates, _less),
     "unstable-equilibrium": (_less, _law_that_does_not_soften, _fixed_wall),
     "unstable-material": (_less, lambda spec: "strain = 'hencky'"),
-    "paddle-turned": (lambda spec: "a stiffer spring_paddle", _less),
+    "paddle-turned": (_stiffer_plates, _less),
     "force-limit": (_less, lambda spec: "a softer material", lambda spec: "a higher force_limit_N"),
     "locked-tissue": (_less, _free_wall, _wider_edge, _law_that_stiffens_less),
     "target-not-reached": (_more_percent, lambda spec: "a smaller force_N"),
+    "force-not-met": (_less, lambda spec: "percent without force_N", _finer_mesh),
 }
 """What to change, by code; of these, what the specification has not already."""
 

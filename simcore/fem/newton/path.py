@@ -12,7 +12,7 @@ from simcore.fem.elements.strain import principal_stretches
 from simcore.fem.linear.tangent import MAX_ITERATIONS
 from simcore.fem.newton import solver as newton
 from simcore.fem.newton.outcome import CompressionFailed, message
-from simcore.fem.newton.press import Press, RigidPress
+from simcore.fem.newton.press import MAX_ROUNDS, Press, RigidPress
 from simcore.fem.newton.solver import Counters, LoadStep, Solver, State, StepFailed
 from simcore.fem.plates.contact import Contact
 from simcore.fem.spec import CompressionSpec
@@ -24,6 +24,7 @@ FORCE_TOLERANCE = 1e-3
 FIRST_FORCE_STEP = 10.0
 """Percent, the first step towards a force."""
 _MAX_FORCE_STEPS = 60
+"""Beside those of the whole way."""
 LOCKED = 30.0
 """Pressure of the plates on the outline of the breast, relative to Young's modulus of the stiffest tissue, that no
 law is meant for. At 70 % neo-Hookean tissue gives 0.4."""
@@ -74,7 +75,7 @@ def follow(
     if target.force is None:
         path.advance(target.percent, size)
     else:
-        path.advance_to_force(target.force, min(size, FIRST_FORCE_STEP))
+        path.advance_to_force(target.force, min(size, FIRST_FORCE_STEP), size)
     return path.solution
 
 
@@ -114,12 +115,14 @@ class _Path:
             self._accept(*solved)
             size = min(2 * size, first)
 
-    def advance_to_force(self, force: float, first: float) -> None:
-        """Steps from below, so that the loading is monotone; a state beyond the force only narrows the interval."""
+    def advance_to_force(self, force: float, first: float, longest: float) -> None:
+        """Steps from below, so that the loading is monotone; a state beyond the force only narrows the interval.
+        first, longest: of the steps, percent."""
         largest = self.target.percent
         beyond: LoadStep | None = None
         size = first
-        for _ in range(_MAX_FORCE_STEPS):
+        most = _MAX_FORCE_STEPS + math.ceil(largest / longest)
+        for _ in range(most):
             if abs(self.force - force) <= FORCE_TOLERANCE * force:
                 return
             if self.reached >= largest * (1 - 1e-9):
@@ -134,9 +137,18 @@ class _Path:
             if step.force > force * (1 + FORCE_TOLERANCE):
                 beyond = step
             else:
-                size = max(2 * (step.percent - self.reached), first)
+                size = min(max(2 * (step.percent - self.reached), first), longest)
                 self._accept(*solved)
-        raise self._failed("not-converged", iterations=newton.MAX_NEWTON)
+        further = beyond or self.steps[-1]
+        raise self._failed(
+            "force-not-met",
+            force=self.force,
+            percent=self.reached,
+            beyond=further.force,
+            further=further.percent,
+            target=force,
+            steps=most,
+        )
 
     def _try(self, percent: float, fraction: float) -> tuple[State, LoadStep] | None:
         report = _NewtonProgress(self.progress, self.fraction, max(fraction, self.fraction))
@@ -163,7 +175,7 @@ class _Path:
             return size / 2
         if self.solver.model.laws.least_stretch:
             raise self._failed("unstable-material", stretch=self._least_stretch(self.state))
-        raise self._failed(self.failure, iterations=newton.MAX_NEWTON, limit=MAX_ITERATIONS)
+        raise self._failed(self.failure, iterations=newton.MAX_NEWTON, limit=MAX_ITERATIONS, rounds=MAX_ROUNDS)
 
     def _refuse_instability(self, state: State) -> None:
         if limit := self.solver.model.laws.least_stretch:

@@ -77,7 +77,7 @@ class SpringPress:
             angle, last = self._next(angle, rest, last, below, above), (angle, rest)
             if abs(np.tan(angle)) > MAX_SLOPE:
                 raise StepFailed("paddle-turned")
-        raise StepFailed("not-converged")
+        raise StepFailed("unsettled-plates")
 
     def _moment(self, solver: Solver, state: State, plates: Plates) -> tuple[float, float]:
         """(moment of the breast on the plate about the pivot, sum of the sizes of its parts), N mm."""
@@ -138,7 +138,7 @@ class ElasticPress:
                 relaxation = float(np.clip(relaxation, 0.02, 1.5))
             before = change
             bend = bend + relaxation * change
-        raise StepFailed("not-converged")
+        raise StepFailed("unsettled-plates")
 
     def _bend(self, solver: Solver, state: State, plates: Plates) -> Floats:
         """(lower, upper) deflection at the nodes under the present forces, (2, n), mm; 0 inside the body."""

@@ -10,6 +10,8 @@ from simcore.core.artifacts import Compression, Phantom, TetMesh
 from simcore.core.grid import Grid
 from simcore.fem import CompressionSpec, compress
 from simcore.fem.compression import press_of, solver_of
+from simcore.fem.newton import press
+from simcore.fem.newton.outcome import CompressionFailed
 from simcore.fem.newton.path import Solution, Target, follow
 from simcore.fem.plates.bending import BendingPlate
 from simcore.fem.plates.contact import LOWER, UPPER, Contact, Plates
@@ -167,6 +169,23 @@ def test_a_force_is_met_by_any_press(mesh: TetMesh) -> None:
     ):
         result = compress(mesh, ANY_PHANTOM, CompressionSpec(force_N=60.0, **changes))
         assert result.force_N == pytest.approx(60.0, rel=1e-3)
+
+
+@pytest.mark.parametrize(
+    ("changes", "advice"),
+    [
+        ({"spring_paddle": SpringPaddle(stiffness_Nmm_per_degree=2000.0)}, "a stiffer spring_paddle"),
+        ({"elastic_plates": ElasticPlates(thickness_mm=8.0)}, "thicker elastic_plates"),
+    ],
+)
+def test_plates_that_do_not_come_to_rest_are_named(
+    mesh: TetMesh, monkeypatch: pytest.MonkeyPatch, changes: dict[str, object], advice: str
+) -> None:
+    """They were said to be Newton's method, which had converged in every round."""
+    monkeypatch.setattr(press, "MAX_ROUNDS", 1)
+    with pytest.raises(CompressionFailed, match=f"did not come to rest.*; take {advice}") as error:
+        compress(mesh, ANY_PHANTOM, SPEC.with_(**changes))
+    assert error.value.code == "unsettled-plates"
 
 
 def test_presses_exclude_one_another() -> None:

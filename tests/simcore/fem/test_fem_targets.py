@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import pickle
 from itertools import pairwise
+from pathlib import Path
 from typing import get_args
 
 import numpy as np
@@ -21,6 +22,7 @@ from simcore.fem.laws.neo_hookean import NeoHookean
 from simcore.fem.laws.published import Published
 from simcore.fem.laws.veronda_westmann import VerondaWestmann
 from simcore.fem.laws.wellman import Wellman
+from simcore.fem.newton import path
 from simcore.fem.newton.outcome import FAULTS, REMEDIES, CompressionFailed, message, remedy_of_unverified
 from simcore.fem.plates.contact import Plates
 from simcore.fem.plates.edge import PlateEdge
@@ -124,7 +126,9 @@ def test_a_failure_survives_its_way_between_processes() -> None:
     assert json.dumps(other.to_dict())
 
 
-FACTS = {"iterations": 40, "stretch": 0.5, "limit": 30.0, "pressure": 40.0, "force": 10.0, "target": 20.0}
+FACTS = {"iterations": 40, "stretch": 0.5, "limit": 30.0, "pressure": 40.0, "force": 10.0, "target": 20.0} | {
+    "rounds": 40, "steps": 60, "percent": 30.0, "beyond": 21.0, "further": 31.0
+}  # fmt: skip
 SPECS = [
     CompressionSpec(chest_wall=wall, percent=percent, material=material, load_steps=100, plate_edge_mm=200.0, **target)
     for wall in get_args(CompressionSpec.model_fields["chest_wall"].annotation)
@@ -154,6 +158,23 @@ def test_every_code_says_what_to_change_and_nothing_that_is_so_already(code: str
         assert not (spec.thickness_mm and "smaller percent" in advice)
         assert not (spec.force_N and "smaller percent" in advice)
         assert not (isinstance(spec.material, NeoHookean) and ("law" in advice or "poissons_ratio" in advice))
+
+
+def test_every_code_stands_on_the_page_of_the_stages() -> None:
+    page = (Path(__file__).parents[3] / "docs" / "stages.md").read_text()
+    assert [code for code in FAULTS if f"`{code}`" not in page] == []
+
+
+def test_a_force_that_no_place_gives_says_so(mesh: TetMesh, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(path, "_MAX_FORCE_STEPS", 2)
+    with pytest.raises(CompressionFailed, match=r"no place between .* = 150 N; take a smaller force_N") as error:
+        compress(mesh, ANY_PHANTOM, CompressionSpec(force_N=150.0))
+    assert error.value.code == "force-not-met"
+
+
+def test_load_steps_are_kept_on_the_way_to_a_force(mesh: TetMesh) -> None:
+    report = compress(mesh, ANY_PHANTOM, CompressionSpec(force_N=150.0, load_steps=100)).report
+    assert max(np.diff([point["percent"] for point in report["force_curve"]])) < 0.5 + 1e-9
 
 
 def test_what_is_not_confirmed_is_told_what_is_left_to_do() -> None:
