@@ -1,4 +1,8 @@
-"""Connected components of a mask that comes slab by slab: nothing larger than a slab is held."""
+"""Connected components of a mask that comes slab by slab: nothing larger than a slab is held.
+
+Made for bodies, which fill their slabs; the warp, which looks three times for a few voxels of each lesion, has a search
+of its own (simcore.warp.objects) that is faster there and would hold several arrays of the size of a body.
+"""
 
 from __future__ import annotations
 

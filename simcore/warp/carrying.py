@@ -10,19 +10,15 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 
-import numba
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from simcore.core.artifacts import Phantom, TetMesh
 from simcore.core.grid import Grid
-from simcore.warp.objects import Indices, Objects, components, erase, small_objects
+from simcore.warp.objects import Indices, Objects, components, erase, joined, small_objects, tolerance
 from simcore.warp.points import Floats, ForwardMap
 from simcore.warp.stamping import stamp
-
-TOLERANCE = 0.1
-"""Relative difference of volume that an object may have; of half a voxel where that is more."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -104,38 +100,8 @@ def _kept(flat: Indices, owner: Indices, shape: Indices, volume: Floats, mine: I
     """Which of the objects ``mine`` the lookup kept whole, apart and with their volume (voxels, of all objects)."""
     count = len(volume)
     voxels = np.bincount(owner[owner >= 0], minlength=count)
-    pieces, touching = _pieces(flat, owner, shape, count)
-    close = np.abs(voxels - volume) <= np.maximum(TOLERANCE * volume, 0.5)
+    first, touching = joined(flat, owner, shape, count)
+    beginning = owner[first == np.arange(len(flat))]
+    pieces = np.bincount(beginning[beginning >= 0], minlength=count)
+    close = np.abs(voxels - volume) <= tolerance(volume)
     return np.asarray((close & (voxels > 0) & (pieces == 1) & ~touching)[mine])
-
-
-@numba.njit(cache=True)
-def _pieces(flat: Indices, owner: Indices, shape: Indices, count: int) -> tuple[Indices, NDArray[np.bool_]]:
-    """(in how many pieces each object is; whether it touches one that comes before it, or a large one)"""
-    ny, nx = shape[1], shape[2]
-    root = np.arange(len(flat))
-    touching = np.zeros(count, np.bool_)
-    for n in range(len(flat)):
-        k, j, i = flat[n] // (ny * nx), flat[n] // nx % ny, flat[n] % nx
-        for step in range(13):  # the neighbours that come before
-            dk, dj, di = step // 9 - 1, step // 3 % 3 - 1, step % 3 - 1
-            if k + dk < 0 or not 0 <= j + dj < ny or not 0 <= i + di < nx:
-                continue
-            other = flat[n] + (dk * ny + dj) * nx + di
-            at = np.searchsorted(flat[:n], other)
-            if at == n or flat[at] != other:
-                continue
-            if owner[at] == owner[n]:
-                a, b = n, at
-                while root[a] != a:
-                    a = root[a]
-                while root[b] != b:
-                    b = root[b]
-                root[max(a, b)] = min(a, b)
-            else:
-                touching[max(owner[at], owner[n])] = True
-    pieces = np.zeros(count, np.int64)
-    for n in range(len(flat)):
-        if root[n] == n and owner[n] >= 0:
-            pieces[owner[n]] += 1
-    return pieces, touching

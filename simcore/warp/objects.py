@@ -18,6 +18,8 @@ lookup keeps larger calcifications within 5 % of their volume, and masses well e
 lesion is not known, and a breast with and without a mass is to differ in the mass alone."""
 LARGEST_BOX = 64**3
 """Voxels of the box of the largest one; what is longer is no small object."""
+TOLERANCE = 0.1
+"""Relative difference of volume that a small object may have; of half a voxel where that is more."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -36,6 +38,11 @@ class Objects:
     @property
     def sizes(self) -> Indices:
         return np.diff(self.start)
+
+
+def tolerance(volume: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Voxels by which objects of ``volume`` (c,) voxels may differ."""
+    return np.maximum(TOLERANCE * volume, 0.5)
 
 
 def small_objects(labels: NDArray[np.uint8], counts: Indices) -> Objects:
@@ -81,10 +88,14 @@ def _boxes(flat: Indices, number: Indices, shape: tuple[int, ...]) -> Indices:
 
 
 def components(labels: NDArray[np.uint8], tissue: int) -> tuple[Indices, Indices]:
-    """(flat indices of the voxels of ``tissue``, ascending; number of the object of each, by its first voxel)"""
+    """(flat indices of the voxels of ``tissue``, ascending; number of the object of each, by its first voxel)
+
+    For lesions, which are few voxels of many: simcore.core.components, which is made for whole bodies, takes two to
+    four times as long to find them; this one takes 24 bytes a voxel of the tissue.
+    """
     flat = _places(labels, np.uint8(tissue))
-    _, number = np.unique(_roots(flat, np.array(labels.shape)), return_inverse=True)
-    return flat, number.astype(np.int64)
+    first, _ = joined(flat, np.zeros_like(flat), np.array(labels.shape), 1)
+    return flat, (np.cumsum(first == np.arange(len(flat))) - 1)[first]
 
 
 @numba.njit(parallel=True, cache=True)
@@ -111,10 +122,17 @@ def _places(labels: NDArray[np.uint8], tissue: np.uint8) -> Indices:
 
 
 @numba.njit(cache=True)
-def _roots(flat: Indices, shape: Indices) -> Indices:
-    """The first voxel (its place in ``flat``) of the object of each voxel."""
+def joined(flat: Indices, owner: Indices, shape: Indices, count: int) -> tuple[Indices, NDArray[np.bool_]]:
+    """Pieces of voxels (n,) of an array of ``shape``: neighbours (26) with the same owner belong together.
+
+    flat: ascending. owner: -1..count - 1.
+    returns: the first voxel (its place in ``flat``) of the piece of each; (count,) whether an owner has a voxel next to
+        one of a lower owner.
+    """
     ny, nx = shape[1], shape[2]
     root = np.arange(len(flat))
+    touching = np.zeros(count, np.bool_)
+    cursor = np.zeros(13, np.int64)  # neighbours in the same direction follow one another
     for n in range(len(flat)):
         k, j, i = flat[n] // (ny * nx), flat[n] // nx % ny, flat[n] % nx
         for step in range(13):  # the neighbours that come before
@@ -122,13 +140,20 @@ def _roots(flat: Indices, shape: Indices) -> Indices:
             if k + dk < 0 or not 0 <= j + dj < ny or not 0 <= i + di < nx:
                 continue
             other = flat[n] + (dk * ny + dj) * nx + di
-            at = np.searchsorted(flat[:n], other)
-            if at < n and flat[at] == other:
+            at = cursor[step]
+            while flat[at] < other:
+                at += 1
+            cursor[step] = at
+            if flat[at] != other:
+                continue
+            if owner[at] == owner[n]:
                 a, b = _top(root, n), _top(root, at)
                 root[max(a, b)] = min(a, b)
+            else:
+                touching[max(owner[at], owner[n])] = True
     for n in range(len(flat)):
         root[n] = _top(root, n)
-    return root
+    return root, touching
 
 
 @numba.njit(cache=True)
