@@ -43,12 +43,22 @@ def tet_maps(mesh: TetMesh, deformed: NDArray[np.float64], output: Grid, source:
             f"{inverted[0]}; take less compression or a finer mesh",
             code="inverted-element",
         )
+    barycentric = barycentric_weights(corners)
+    undeformed = (mesh.nodes - np.array(source.corner)) / np.array(source.spacing)
+    origin = np.einsum("mna,mnb->mab", undeformed[mesh.tets], barycentric)
+    return TetMaps(barycentric, np.ascontiguousarray(origin), corners)
+
+
+def barycentric_weights(corners: NDArray[np.float64]) -> NDArray[np.float64]:
+    """float64 (m, 4, 4): weight of node n of each tetrahedron at the point p = b[n, 0] + b[n, 1:] . p
+
+    corners: float64 (m, 4, 3), none of them flat, in the unit of p.
+    """
     # Rows of edges are corners n - corner 0; the columns of its inverse are the gradients of weights 1..3.
+    edges = corners[:, 1:] - corners[:, :1]
     barycentric = np.empty((len(corners), 4, 4))
     barycentric[:, 1:, 1:] = np.linalg.inv(edges).transpose(0, 2, 1)
     barycentric[:, 0, 1:] = -barycentric[:, 1:, 1:].sum(axis=1)
     barycentric[:, 1:, 0] = -np.einsum("mna,ma->mn", barycentric[:, 1:, 1:], corners[:, 0])
     barycentric[:, 0, 0] = 1.0 - barycentric[:, 1:, 0].sum(axis=1)
-    undeformed = (mesh.nodes - np.array(source.corner)) / np.array(source.spacing)
-    origin = np.einsum("mna,mnb->mab", undeformed[mesh.tets], barycentric)
-    return TetMaps(barycentric, np.ascontiguousarray(origin), corners)
+    return barycentric

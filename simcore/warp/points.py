@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from simcore.core.artifacts import TetMesh
+from simcore.warp.maps import barycentric_weights
 
 Floats = NDArray[np.float64]
 Indices = NDArray[np.int64]
@@ -43,13 +44,8 @@ class ForwardMap:
     def of(cls, mesh: TetMesh, deformed: Floats) -> ForwardMap:
         """deformed: (n, 3) positions of the nodes after compression, mm."""
         corners, after = mesh.nodes[mesh.tets], deformed[mesh.tets]
-        edges = corners[:, 1:] - corners[:, :1]
-        weights = np.empty((len(corners), 4, 4))
-        weights[:, 1:, 1:] = np.linalg.inv(edges).transpose(0, 2, 1)
-        weights[:, 0, 1:] = -weights[:, 1:, 1:].sum(axis=1)
-        weights[:, 1:, 0] = -np.einsum("mna,ma->mn", weights[:, 1:, 1:], corners[:, 0])
-        weights[:, 0, 0] = 1.0 - weights[:, 1:, 0].sum(axis=1)
-        ratio = np.linalg.det(after[:, 1:] - after[:, :1]) / np.linalg.det(edges)
+        weights = barycentric_weights(corners)
+        ratio = np.linalg.det(after[:, 1:] - after[:, :1]) / np.linalg.det(corners[:, 1:] - corners[:, :1])
         low, high = mesh.nodes.min(axis=0), mesh.nodes.max(axis=0)
         edge = float((np.prod(high - low) / (CELLS_PER_TET * len(corners))) ** (1 / 3))
         shape = np.maximum(np.ceil((high - low) / edge), 1).astype(np.int64)

@@ -47,7 +47,7 @@ def deform_phantom(
     return Phantom(
         labels=labels,
         grid=grid,
-        truth=carried(phantom.truth, mesh, deformed),
+        truth=carried(phantom.truth, forward),
         report={
             "volume_before_ml": float(before[1:].sum()) * voxel_ml,
             "volume_after_ml": float(after[1:].sum()) * voxel_ml,
