@@ -8,12 +8,13 @@ from numpy.typing import NDArray
 
 from simcore.core.grid import Grid
 from simcore.core.tissues import Tissue
-from simcore.warp.objects import Indices, Objects
+from simcore.warp.objects import Indices, Objects, tolerance
 from simcore.warp.points import Floats, ForwardMap
 
 SAMPLES = 4
 """Samples along the edge of a voxel: 64 tell how much of each voxel of the output it covers."""
 CALCIFICATION = np.uint8(Tissue.CALCIFICATION)
+APART, TOUCHING, ANYWHERE = range(3)
 AWAY = 3
 """An object is moved by so many voxels at most to keep it apart from another one."""
 
@@ -40,10 +41,11 @@ def stamp(
     # d place in the output / d place in the source, both in voxels
     steps = np.einsum("pna,pnb->pab", forward.deformed[tets], forward.weights[tets][:, :, 1:])
     steps = steps * spacing / edge[:, None]
-    wanted = np.maximum(np.rint(volume), 1).astype(np.int64)
-    filled, merged = np.zeros_like(wanted), np.zeros(len(wanted), np.bool_)
+    most = np.maximum(np.rint(volume), 1).astype(np.int64)
+    least = np.maximum(np.ceil(volume - tolerance(volume)), 1).astype(np.int64)
+    filled, merged = np.zeros_like(most), np.zeros(len(most), np.bool_)
     _stamp(
-        np.flatnonzero(which), objects.tissue, objects.start, wanted, centres, np.ascontiguousarray(steps),
+        np.flatnonzero(which), objects.tissue, objects.start, least, most, centres, np.ascontiguousarray(steps),
         out, filled, merged,
     )  # fmt: skip
     return filled, merged
@@ -54,24 +56,28 @@ def _stamp(
     which: Indices,
     tissue: NDArray[np.uint8],
     start: Indices,
-    wanted: Indices,
+    least: Indices,
+    most: Indices,
     centres: Floats,
     steps: Floats,
     out: NDArray[np.uint8],
     filled: Indices,
     merged: NDArray[np.bool_],
 ) -> None:
+    """Apart from others where there is room for ``least`` voxels of an object, else touching them."""
     for c in which:
         first, stop = start[c], start[c + 1]
         corner, cover = _cover(centres[first:stop], steps[first:stop])
         middle = np.empty(3)
         for axis in range(3):
             middle[axis] = centres[first:stop, axis].mean() - corner[axis] - 0.5
-        free = _free(out, corner, cover.shape, tissue[c], True)
-        if not free.any():
-            merged[c] = True
-            free = _free(out, corner, cover.shape, tissue[c], False)
-        filled[c] = _grow(cover, middle, free, wanted[c], out, corner, tissue[c])
+        reached = np.ones(cover.shape, np.bool_)
+        for room in (APART, TOUCHING, ANYWHERE):
+            if filled[c] >= least[c] or (room == ANYWHERE and filled[c] > 0):
+                break
+            merged[c] = room != APART
+            free = _free(out, corner, cover.shape, tissue[c], room)
+            filled[c] = _grow(cover, middle, free, reached, filled[c], most[c], out, corner, tissue[c])
 
 
 @numba.njit(cache=True, error_model="numpy")
@@ -100,26 +106,22 @@ def _cover(centres: Floats, steps: Floats) -> tuple[Indices, Indices]:
 
 @numba.njit(cache=True)
 def _free(
-    out: NDArray[np.uint8], corner: Indices, shape: tuple[int, int, int], tissue: np.uint8, apart: bool
+    out: NDArray[np.uint8], corner: Indices, shape: tuple[int, int, int], tissue: np.uint8, room: int
 ) -> NDArray[np.bool_]:
-    """Where in a box an object of ``tissue`` may lie: inside of the body, in no calcification and, ``apart``, next to
-    none of its tissue. Where there is no such voxel, anywhere on the grid."""
+    """Where in a box an object of ``tissue`` may lie: neither in a calcification nor in its own tissue; but with
+    ANYWHERE inside of the body; APART: not next to its own tissue."""
     nz, ny, nx = out.shape
     free = np.zeros(shape, np.bool_)
     for k in range(shape[0]):
         for j in range(shape[1]):
             for i in range(shape[2]):
                 z, y, x = k + corner[2], j + corner[1], i + corner[0]
-                inside = 0 <= z < nz and 0 <= y < ny and 0 <= x < nx
-                if not inside or out[z, y, x] == 0 or out[z, y, x] == CALCIFICATION:
+                if not (0 <= z < nz and 0 <= y < ny and 0 <= x < nx):
                     continue
-                free[k, j, i] = not (apart and _touches(out, z, y, x, tissue))
-    if not apart and not free.any():
-        for k in range(shape[0]):
-            for j in range(shape[1]):
-                for i in range(shape[2]):
-                    z, y, x = k + corner[2], j + corner[1], i + corner[0]
-                    free[k, j, i] = 0 <= z < nz and 0 <= y < ny and 0 <= x < nx
+                label = out[z, y, x]
+                if label in (CALCIFICATION, tissue) or (label == 0 and room != ANYWHERE):
+                    continue
+                free[k, j, i] = room != APART or not _touches(out, z, y, x, tissue)
     return free
 
 
@@ -139,25 +141,26 @@ def _grow(
     cover: Indices,
     middle: Floats,
     free: NDArray[np.bool_],
-    wanted: int,
+    reached: NDArray[np.bool_],
+    filled: int,
+    most: int,
     out: NDArray[np.uint8],
     corner: Indices,
     tissue: np.uint8,
 ) -> int:
-    """Takes voxels one by one, each next to one that is taken (26 neighbours): of those that are free the one that the
-    object covers most, then the one nearest to its middle. Returns how many."""
+    """Takes voxels one by one, each next to one that is taken (26 neighbours; ``reached``): of those that are free the
+    one that the object covers most, then the one nearest to its middle. Returns how many of ``most`` are filled."""
     nz, ny, nx = cover.shape
-    reached = np.ones(cover.shape, np.bool_)
-    for number in range(wanted):
-        best, most, near = -1, -1, np.inf
+    for number in range(filled, most):
+        best, covered, near = -1, -1, np.inf
         for k in range(nz):
             for j in range(ny):
                 for i in range(nx):
-                    if not (free[k, j, i] and reached[k, j, i]) or cover[k, j, i] < most:
+                    if not (free[k, j, i] and reached[k, j, i]) or cover[k, j, i] < covered:
                         continue
                     away = (i - middle[0]) ** 2 + (j - middle[1]) ** 2 + (k - middle[2]) ** 2
-                    if cover[k, j, i] > most or away < near:
-                        best, most, near = (k * ny + j) * nx + i, cover[k, j, i], away
+                    if cover[k, j, i] > covered or away < near:
+                        best, covered, near = (k * ny + j) * nx + i, cover[k, j, i], away
         if best < 0:
             return number
         if number == 0:
@@ -166,4 +169,4 @@ def _grow(
         free[k, j, i] = False
         out[k + corner[2], j + corner[1], i + corner[0]] = tissue
         reached[max(k - 1, 0) : k + 2, max(j - 1, 0) : j + 2, max(i - 1, 0) : i + 2] = True
-    return wanted
+    return most
