@@ -54,15 +54,15 @@ def predicted_grid(spec: SimulationSpec, extent: Extent, whole: bool = False) ->
     whole: over the field, whatever the region.
     raises: SpecError where the region holds no voxel.
     """
-    asked, geometry = spec.reconstruction, geometry_of(spec.acquisition)
+    setting, geometry = spec.reconstruction, geometry_of(spec.acquisition)
     beyond = beyond_plates(spec, extent)
-    grid = volume_grid(geometry, asked, Body(_thickness(spec, extent), beyond, beyond))
+    grid = volume_grid(geometry, setting, Body(_thickness(spec, extent), beyond, beyond))
     try:
-        if asked.field == "breast":
+        if setting.field == "breast":
             low, high = _breast_box(spec, grid, extent)
             grid = within(grid, low, high)
-        if asked.region is not None and not whole:
-            grid = in_region(grid, asked.region, geometry.support_height)
+        if setting.region is not None and not whole:
+            grid = in_region(grid, setting.region, geometry.support_height)
     except GeometryError as error:
         message = str(error)
         raise SpecError(
@@ -74,9 +74,9 @@ def predicted_grid(spec: SimulationSpec, extent: Extent, whole: bool = False) ->
 
 
 def _thickness(spec: SimulationSpec, extent: Extent) -> float:
-    """Distance of the plates, mm: told for an uploaded phantom, else predicted."""
-    told = spec.phantom.thickness_mm if isinstance(spec.phantom, UploadedPhantom) else None
-    return extent[2] if told is None else told
+    """Distance of the plates, mm: that of an uploaded phantom where it is known, else predicted."""
+    known = spec.phantom.thickness_mm if isinstance(spec.phantom, UploadedPhantom) else None
+    return extent[2] if known is None else known
 
 
 def beyond_plates(spec: SimulationSpec, extent: Extent) -> float:
@@ -191,19 +191,19 @@ def _thicker_slices(spec: SimulationSpec, passes: Passes) -> float | None:
 
 def _lower_region(spec: SimulationSpec, extent: Extent, passes: Passes) -> float | None:
     """The highest upper bound of the region, mm above the support, with which the case passes; None without one."""
-    asked = spec.reconstruction
-    region = asked.region or RegionSpec()
+    setting = spec.reconstruction
+    region = setting.region or RegionSpec()
     grid = predicted_grid(spec, extent)
     bottom = grid.corner[2] - geometry_of(spec.acquisition).support_height
 
     def top(slices: int) -> float:
         # Downwards, so that the bound touches no further slice.
-        return float(np.floor((bottom + slices * asked.slice_mm) * 100 + 1e-6) / 100)
+        return float(np.floor((bottom + slices * setting.slice_mm) * 100 + 1e-6) / 100)
 
     def cut_passes(slices: int) -> bool:
         if top(slices) <= (region.z_min_mm or 0.0):
             return False
-        return passes(spec.with_(reconstruction=asked.with_(region=region.with_(z_max_mm=top(slices)))))
+        return passes(spec.with_(reconstruction=setting.with_(region=region.with_(z_max_mm=top(slices)))))
 
     fewer = _first(1, grid.shape[0] - 1, lambda n: cut_passes(grid.shape[0] - n))
     return None if fewer is None else top(grid.shape[0] - fewer)

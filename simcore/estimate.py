@@ -98,8 +98,8 @@ def estimate(spec: SimulationSpec) -> Estimate:
     stack = pixels * a.views
     tets = 0.0 if spec.phantom.compressed else 35e3 * (5.5 / spec.mesh.edge_length_mm) ** 3
     mesh_seconds = MESH_SECONDS_PER_TETRAHEDRON[spec.mesh.kind] * tets
-    held = spec.phantom.voxels_held
-    memory = BYTES_BASE + held + after + BYTES_PER_TETRAHEDRON * tets + 2 * stack + 2 * worked + max(after, 4 * stack)
+    labels = spec.phantom.voxels_held
+    memory = BYTES_BASE + labels + after + BYTES_PER_TETRAHEDRON * tets + 2 * stack + 2 * worked + max(after, 4 * stack)
     rays = spec.physics.rays_per_pixel_edge**2
     memory += 4 * pixels * (rays - 1)
     further = {

@@ -32,8 +32,8 @@ def refuse(spec: SimulationSpec) -> None:
         message = f"the force to be reached is {c.force_N:g} N: a limit of at least that, or none"
         problems.append(_problem(c, "compression.force_limit_N", "force_limit_N", message))
     if problems:
-        said = "; ".join(f"{p['field']}{_shown(p['value'])}: {p['message']}" for p in problems)
-        raise SpecError(said, code="setting-not-used", problems=problems)
+        text = "; ".join(f"{p['field']}{_shown(p['value'])}: {p['message']}" for p in problems)
+        raise SpecError(text, code="setting-not-used", problems=problems)
 
 
 def remarks(spec: SimulationSpec) -> list[str]:
@@ -89,10 +89,10 @@ def _tissues(spec: SimulationSpec) -> set[Tissue]:
     phantom = spec.phantom
     if isinstance(phantom, UploadedPhantom):
         return {tissue for tissue in Tissue if has_tissue(phantom.tissues, tissue)}
-    held = {Tissue.AIR, Tissue.ADIPOSE, Tissue.GLAND, Tissue.SKIN, Tissue.LIGAMENT}
-    held |= {Tissue.MASS if isinstance(lesion, Mass) else Tissue.CALCIFICATION for lesion in phantom.lesions}
-    held |= {Tissue.NIPPLE} if phantom.nipple is not None else set()
-    return held | ({Tissue.DUCT} if phantom.ducts is not None else set())
+    tissues = {Tissue.AIR, Tissue.ADIPOSE, Tissue.GLAND, Tissue.SKIN, Tissue.LIGAMENT}
+    tissues |= {Tissue.MASS if isinstance(lesion, Mass) else Tissue.CALCIFICATION for lesion in phantom.lesions}
+    tissues |= {Tissue.NIPPLE} if phantom.nipple is not None else set()
+    return tissues | ({Tissue.DUCT} if phantom.ducts is not None else set())
 
 
 def _of_reconstruction(spec: SimulationSpec) -> Iterator[tuple[str, str]]:

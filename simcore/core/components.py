@@ -80,12 +80,12 @@ class Components:
         part = mask[:, rows, columns]
         if part.size:
             structure = np.ones((3, 3, 3), np.bool_) if self._corners else None
-            found = np.zeros(part.shape, np.int32)
-            count = int(label(part, structure, output=found))
-            self._measure(found, count, (self._plane, rows.start, columns.start))
+            own = np.zeros(part.shape, np.int32)
+            count = int(label(part, structure, output=own))
+            self._measure(own, count, (self._plane, rows.start, columns.start))
             if self._count:
-                found[part] += self._count
-            numbers[:, rows, columns] = found
+                own[part] += self._count
+            numbers[:, rows, columns] = own
             if self._edge is not None:
                 near = np.s_[max(0, rows.start - 1) : rows.stop + 1, max(0, columns.start - 1) : columns.stop + 1]
                 self._join(self._edge[near], numbers[0][near])
@@ -110,8 +110,8 @@ class Components:
         pairs = np.concatenate([np.empty((0, 2), np.int64), *self._pairs]) - 1
         ones = np.ones(len(pairs), np.int8)
         graph = csr_matrix((ones, (pairs[:, 0], pairs[:, 1])), shape=(self._count, self._count))
-        total, found = connected_components(graph, directed=False)
-        _, begins, of = np.unique(found, return_index=True, return_inverse=True)
+        total, group = connected_components(graph, directed=False)
+        _, begins, of = np.unique(group, return_index=True, return_inverse=True)
         of = np.argsort(np.argsort(begins))[of]
         voxels, first, behind, sums = (np.concatenate(parts) for parts in zip(*self._parts, strict=True))
         counts = np.bincount(of, voxels, total).astype(np.int64)

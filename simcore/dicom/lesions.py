@@ -72,7 +72,7 @@ def find_lesions(phantom: Phantom, lift: float, volume: Grid) -> tuple[Lesion, .
     lift: height of the support frame in the detector frame, mm.
     """
     grid = phantom.grid.moved(z=lift)
-    found = []
+    lesions = []
     for tissue in TISSUES:
         voxels, pieces, extents = _voxels_of(phantom.labels, tissue)
         if not len(voxels):
@@ -86,8 +86,8 @@ def find_lesions(phantom: Phantom, lift: float, volume: Grid) -> tuple[Lesion, .
             if mine.any():
                 x, y, z = (float(c) for c in points[mine].mean(axis=0))
                 inside = _in_volume(voxels[mine], points[mine], grid, volume)
-                found.append(Lesion(name, tissue, (x, y, z), int(mine.sum()) * grid.voxel_volume, inside))
-    return tuple(found)
+                lesions.append(Lesion(name, tissue, (x, y, z), int(mine.sum()) * grid.voxel_volume, inside))
+    return tuple(lesions)
 
 
 @dataclass(frozen=True, eq=False)
@@ -111,7 +111,7 @@ class _Objects:
 def _voxels_of(labels: NDArray[np.uint8], tissue: Tissue) -> tuple[Indices, Indices, Extents]:
     """Indices (z, y, x), ordered; the connected component of each; these components."""
     components = Components(corners=True)
-    found, numbers = [np.empty((0, 3), np.int64)], [np.empty(0, np.int64)]
+    voxels, numbers = [np.empty((0, 3), np.int64)], [np.empty(0, np.int64)]
     for first, slab in slabs(labels):
         # Most phantoms hold nothing beyond the tissues of every breast, and a maximum is found at the speed of memory.
         if slab.max(initial=0) < tissue:
@@ -119,10 +119,10 @@ def _voxels_of(labels: NDArray[np.uint8], tissue: Tissue) -> tuple[Indices, Indi
             continue
         mask = slab == np.uint8(tissue)
         of_slab = components.add(mask)
-        found.append(np.argwhere(mask) + np.array([first, 0, 0]))
+        voxels.append(np.argwhere(mask) + np.array([first, 0, 0]))
         numbers.append(of_slab[mask].astype(np.int64))
     extents = components.extents()
-    return np.concatenate(found), extents.of[np.concatenate(numbers)], extents
+    return np.concatenate(voxels), extents.of[np.concatenate(numbers)], extents
 
 
 def _known(truth: tuple[dict[str, Any], ...], tissue: Tissue, lift: float) -> _Objects:

@@ -37,9 +37,9 @@ def refusal(spec: SimulationSpec) -> ResourceLimitError:
 
 
 def number(pattern: str, text: str) -> float:
-    found = re.search(pattern, text)
-    assert found, text
-    return float(found[1])
+    match = re.search(pattern, text)
+    assert match, text
+    return float(match[1])
 
 
 @pytest.mark.parametrize("encoding", ENCODINGS)

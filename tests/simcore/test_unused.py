@@ -116,8 +116,8 @@ def test_presets_set_nothing_that_is_not_used(name: str) -> None:
 def test_a_thickness_that_cannot_be_is_refused_at_once() -> None:
     body = UPLOADED.with_(compressed=False)
     spec = SimulationSpec(phantom=body, mesh=LatticeMesh())
-    for thickness, said in ((51.0, "50.0 mm thick before it is compressed"), (20.0, "allows no less than 25.0 mm")):
-        with pytest.raises(SpecError, match=rf"compression\.thickness_mm = {thickness:g}: .*{said}"):
+    for thickness, words in ((51.0, "50.0 mm thick before it is compressed"), (20.0, "allows no less than 25.0 mm")):
+        with pytest.raises(SpecError, match=rf"compression\.thickness_mm = {thickness:g}: .*{words}"):
             estimate.check(spec.with_(compression=CompressionSpec(thickness_mm=thickness)))
     estimate.check(spec.with_(compression=CompressionSpec(thickness_mm=30.0)))
     with pytest.raises(SpecError, match=r"phantom\.thickness_mm = 40: the tissue is 50 mm high"):
@@ -130,10 +130,10 @@ def test_a_thickness_that_cannot_be_is_refused_at_once() -> None:
 
 def test_muscle_that_no_value_is_cannot_hold_the_breast() -> None:
     body = UPLOADED.with_(compressed=False, tissues="openvct")
-    held = CompressionSpec(chest_wall="fixed_muscle", percent=20.0)
+    fixed = CompressionSpec(chest_wall="fixed_muscle", percent=20.0)
     with pytest.raises(SpecError, match=r"chest_wall = fixed_muscle: no value of phantom\.tissues is muscle"):
-        estimate.check(SimulationSpec(phantom=body, compression=held))
-    estimate.check(SimulationSpec(phantom=body.with_(tissues="victre"), compression=held))
+        estimate.check(SimulationSpec(phantom=body, compression=fixed))
+    estimate.check(SimulationSpec(phantom=body.with_(tissues="victre"), compression=fixed))
 
 
 def test_plates_that_bend_are_as_large_as_the_breast() -> None:

@@ -19,18 +19,18 @@ def test_slabs_give_the_components_of_the_whole(corners: bool, share: float, cut
     expected, count = label(mask, np.ones((3, 3, 3)) if corners else None)
     components = Components(corners)
     numbers = np.concatenate([components.add(mask[a:b]) for a, b in itertools.pairwise(cuts)])
-    found = components.extents()
-    assert len(found) == count
-    of = found.of[numbers]
+    extents = components.extents()
+    assert len(extents) == count
+    of = extents.of[numbers]
     np.testing.assert_array_equal(of >= 0, mask)
     assert len(np.unique(np.stack([expected[mask], of[mask]], axis=1), axis=0)) == count
     beginnings = []
     for k in range(count):
         voxels = np.argwhere(of == k)
-        assert found.voxels[k] == len(voxels)
-        np.testing.assert_array_equal(found.first[k], voxels.min(axis=0))
-        np.testing.assert_array_equal(found.behind[k], voxels.max(axis=0) + 1)
-        np.testing.assert_allclose(found.centre[k], voxels.mean(axis=0))
+        assert extents.voxels[k] == len(voxels)
+        np.testing.assert_array_equal(extents.first[k], voxels.min(axis=0))
+        np.testing.assert_array_equal(extents.behind[k], voxels.max(axis=0) + 1)
+        np.testing.assert_allclose(extents.centre[k], voxels.mean(axis=0))
         beginnings.append(tuple(voxels[0]))
     assert beginnings == sorted(beginnings)
 
