@@ -98,7 +98,8 @@ NAMES = {
 }
 
 NO_WHOLE = (
-    r"no whole number within 1e-06: save the labels as whole numbers and without a slope, in Python nibabel\.save"
+    r"no whole number within 1e-06: save the labels as whole numbers and without a slope, in Python "
+    r"image = nibabel\.load\(FILE\); nibabel\.save"
 )
 CONTRADICTS = r"NIfTI pixdim says voxels of 2 x 2 x 2 mm, sform 1 x 1 x 1 mm: give .*spacing_mm \(--spacing-mm"
 PAIR = r"one of two files \(\.hdr and \.img\): save them as one \.nii or \.nrrd file"
@@ -189,13 +190,15 @@ ODD = {
     "channels.mha": Refused("ElementNumberOfChannels = 3: 1; one label a voxel is needed"),
     "ascii.mha": Refused("BinaryData = False: save it in binary form"),
     "cut_raw.nrrd": Refused("it ends after 71143 of the 71148 bytes of 44 x 49 x 33 voxels: fetch or save it again"),
-    "long_raw.nrrd": Refused("it holds more than the 71148 bytes of 44 x 49 x 33 voxels"),
+    "long_raw.nrrd": Refused(
+        r"it holds more than the 71148 bytes of 44 x 49 x 33 voxels: correct their number, their type \(uint8\) or"
+    ),
     "neg.nrrd": Refused("names no tissue for (255|-1)"),  # as NumPy promotes -1; odd_labels writes it for sure
     "big_label.nrrd": Refused("names no tissue for (112|70000)"),
     "empty.nrrd": Refused("it is empty"),
     "text.nrrd": Refused(NO_HEADER),
     "dicom.dcm": Refused("but a DICOM file: " + CONVERT),
-    "array.npy": Refused(r"but a NumPy array: numpy\.load\(FILE\)\.tofile"),
+    "array.npy": Refused(r"but a NumPy array: numpy\.load\(FILE\)\.astype\('uint16'\)\.tofile"),
     "x.tif": Refused("but a TIFF picture: " + CONVERT),
     "lfs.nrrd": Refused("a pointer of Git LFS, not the file itself: 'git lfs pull' fetches it"),
     "mat.h5": Refused("but an HDF5 file .*: " + CONVERT),
@@ -203,9 +206,9 @@ ODD = {
 
 FATTY = {"tissues": {"0": "air", "1": "adipose", "2": "gland"}}
 LABELS = {
-    "big_label.nrrd": Refused("names no tissue for 70000"),
-    "neg.nrrd": Refused("names no tissue for -1"),
-    "neg8.nrrd": Refused("names no tissue for -6"),
+    "big_label.nrrd": Refused("names no tissue for 70000, and none can: labels are whole numbers from 0 to 65535"),
+    "neg.nrrd": Refused(r"names no tissue for -1, and none can: labels are whole numbers from 0 to 65535; give those"),
+    "neg8.nrrd": Refused(r"names no tissue for -6, and none can \(saved as int8, 250 becomes -6\)"),
     "labels012.nrrd": Read({"0": 42842, "1": 17686 + 3478, "2": 7142}, reading=FATTY),
     "calc_everywhere.nrrd": Read(
         {"0": 42842, "1": 17686, "2": 3478, "250": 7142},
@@ -315,3 +318,23 @@ def test_openvct_is_told_how_to_unpack_and_read_with_a_map_of_its_own(written: W
     voxels = np.fromfile(files / "Phantom.dat", np.uint8)
     assert upload.values == {str(v): int(n) for v, n in zip(*np.unique(voxels, return_counts=True), strict=True)}
     assert upload.spec.extent_mm == (60.0, 90.0, 80.0)
+
+
+def test_the_line_that_saves_an_array_of_numpy_does_as_it_stands(
+    written: Written, breast: np.ndarray, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    voxels = np.load(written.by("odd_files") / "odd" / "array.npy")
+    path = tmp_path / "array.npy"
+    np.save(path, np.asfortranarray(voxels.astype("f8")))
+    with pytest.raises(SpecError) as caught:
+        written.add(path, {})
+    said = re.search(r"but a NumPy array: (.*) in Python, .* --header header\.json with (\{.*\})$", str(caught.value))
+    assert said, str(caught.value)
+    monkeypatch.chdir(tmp_path)
+    eval(said[1], {"numpy": np, "FILE": path})
+    header = {
+        **json.loads(said[2].replace("[slices, rows, columns]", str(list(voxels.shape)))),
+        "spacing_mm": [2, 2, 2],
+    }
+    upload = written.add(tmp_path / "labels.raw", {"raw": header})
+    np.testing.assert_array_equal(written.labels(upload), breast)

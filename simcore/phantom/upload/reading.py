@@ -32,15 +32,14 @@ class RawHeader(Spec):
     )
     byte_order: Literal["little", "big"] = Field("little", description="order of the bytes of a voxel")
     header_bytes: Annotated[int, Field(ge=0, le=2**24)] = Field(
-        0, description="bytes before the voxels; none where they are gzip-compressed [byte]"
+        0, description="bytes before the voxels, once unpacked where they are gzip-compressed [byte]"
     )
 
     def header(self, voxels: IO[bytes]) -> Header:
         """That of the voxels in a file, gzip-compressed or not."""
         encoding: Encoding = "gzip" if begins_with_gzip(voxels) else "raw"
         dtype = np.dtype(self.dtype).newbyteorder("<" if self.byte_order == "little" else ">")
-        skip = 0 if encoding == "gzip" else self.header_bytes
-        return Header("raw", self.shape, self.spacing_mm, self.axes, dtype, encoding, skip)
+        return Header("raw", self.shape, self.spacing_mm, self.axes, dtype, encoding, 0, skip=self.header_bytes)
 
 
 class Reading(Spec):

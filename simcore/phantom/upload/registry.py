@@ -204,8 +204,8 @@ def _add(
         found = survey(file, tissues, anatomy=anatomy)
     if found.box is None:
         raise refuse(f"it holds nothing but air by the tissue map: values {', '.join(map(str, found.values))}")
-    _check_volume(found.body_voxels, spacing, reading)
     seen = review(found, anatomy, spacing, axes, tissues, reading.compressed, reading.confirm_tissues)
+    _check_volume(found.body_voxels, spacing, reading)  # last: what is no breast in any unit is told as that
     try:
         phantom = UploadedPhantom(
             sha256=64 * "0",
@@ -233,7 +233,7 @@ def _add(
         part,
         remarks,
         seen.contents,
-        tuple((e.first, e.largest, e.last) for e in found.ends(found.box)) if found.box else (),
+        tuple((e.first, e.largest, e.last) for e in found.ends(found.box)),
         seen.thickness_mm,
     )
     store.write_document(FOLDER, f"{upload.sha256}.json", canonical(asdict(upload)))

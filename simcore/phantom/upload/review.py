@@ -163,7 +163,8 @@ def _check_planes(planes: dict[str, int]) -> None:
             "shape",
             None,
             f"the tissue is {said}; a breast that is to be compressed has at least {LEAST_PLANES} along every axis: "
-            "give a whole volume with smaller voxels, or one that is already compressed (compressed = true)",
+            "give a whole volume with smaller voxels, or one that is already compressed (--compressed, compressed = "
+            "true)",
         )
 
 

@@ -8,10 +8,9 @@ from collections.abc import Iterable
 from typing import IO
 
 from simcore.core.errors import SpecError
+from simcore.phantom.upload.formats import nrrd
+from simcore.phantom.upload.formats.decoding import head_of
 from simcore.phantom.upload.tissue_maps import NAMES
-
-READ_BYTES = 1 << 20
-"""How far a header is looked through."""
 
 WORDS = {
     "air": ("air", "background", "outside"),
@@ -43,10 +42,10 @@ _MEANT = {word: tissue for tissue, words in WORDS.items() for word in words}
 
 
 def names(file: IO[bytes]) -> dict[int, str]:
-    """The segments in the header of an NRRD file {value: name}; none where it is no segmentation."""
-    file.seek(0)
-    head = file.read(READ_BYTES)
-    if not head.startswith(b"NRRD"):
+    """The segments in the header of an NRRD file, packed as a whole or not, {value: name}; none where it is no
+    segmentation."""
+    head = head_of(file)
+    if not head.startswith(nrrd.MAGIC):
         return {}
     head = re.split(rb"\r?\n\r?\n", head, maxsplit=1)[0]
     fields: dict[tuple[str, str], str] = {}

@@ -100,11 +100,28 @@ def refuse_unknown(values: Iterable[int]) -> None:
     """raises: SpecError naming ``values`` that are no tissue"""
     listed = sorted(values)
     shown = ", ".join(map(str, listed[:20])) + (", ..." if len(listed) > 20 else "")
-    message = (
-        f"the tissue map names no tissue for {shown}; tissues: {', '.join(NAMES)}; built-in maps: {', '.join(BUILT_IN)}"
+    raise _unknown(
+        listed[0],
+        f"the tissue map names no tissue for {shown}; tissues: {', '.join(NAMES)}; built-in maps: "
+        f"{', '.join(BUILT_IN)} (--tissue-map, tissues)",
     )
-    raise SpecError(
+
+
+def refuse_beyond(value: float, type_name: str) -> None:
+    """raises: SpecError naming a ``value`` below 0 or above LARGEST_VALUE, which no map can name"""
+    origin = ""
+    if -128 <= value < 0 and type_name == "int8":
+        origin = f" (saved as int8, {value + 256:.0f} becomes {value:.0f})"
+    raise _unknown(
+        int(value) if abs(value) < 2**63 else value,
+        f"the tissue map names no tissue for {value:.15g}, and none can{origin}: labels are whole numbers from 0 to "
+        f"{LARGEST_VALUE}; give those voxels such a value, and save the labels as uint8 or uint16",
+    )
+
+
+def _unknown(value: float, message: str) -> SpecError:
+    return SpecError(
         f"phantom.tissues: {message}",
         code="unknown-label",
-        problems=[{"field": "phantom.tissues", "value": listed[0], "message": message}],
+        problems=[{"field": "phantom.tissues", "value": value, "message": message}],
     )

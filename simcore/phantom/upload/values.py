@@ -13,8 +13,10 @@ from simcore.phantom.upload.formats.header import Header, refuse
 
 WHOLE_WITHIN = 1e-6
 _NIFTI_REMEDY = (
-    "nibabel.save(nibabel.Nifti1Image(numpy.rint(image.get_fdata()).astype('uint8'), image.affine), 'labels.nii.gz')"
+    "image = nibabel.load(FILE); "
+    "nibabel.save(nibabel.Nifti1Image(numpy.rint(image.get_fdata()).astype('uint16'), image.affine), 'labels.nii.gz')"
 )
+"""uint16 holds every label that a tissue map can name."""
 
 
 def labels_of(voxels: NDArray[Any], header: Header) -> NDArray[np.integer]:
@@ -28,7 +30,7 @@ def labels_of(voxels: NDArray[Any], header: Header) -> NDArray[np.integer]:
         return voxels
     low, high = voxels.min(initial=0), voxels.max(initial=0)
     if low < 0 or high > tissue_maps.LARGEST_VALUE:
-        tissue_maps.refuse_unknown({int(v) for v in (low, high) if not 0 <= v <= tissue_maps.LARGEST_VALUE})
+        tissue_maps.refuse_beyond(float(low if low < 0 else high), header.dtype.name)
     return voxels.astype(np.uint16 if high > 255 else np.uint8)
 
 

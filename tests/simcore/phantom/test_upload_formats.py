@@ -269,7 +269,8 @@ def test_only_a_file_beside_the_header_is_taken_for_its_voxels(tmp_path: Path, n
 def test_raw_voxels_with_a_header_of_their_own() -> None:
     labels = RANDOM.astype("<i2")
     raw = RawHeader(shape=(5, 6, 7), spacing_mm=(0.3, 0.2, 0.1), dtype="int16", header_bytes=11)
-    for data in (b"x" * 11 + labels.tobytes(), gzip.compress(labels.tobytes())):
+    whole = b"x" * 11 + labels.tobytes()
+    for data in (whole, gzip.compress(whole)):
         source, target = io.BytesIO(data), io.BytesIO()
         join(raw.header(source), source, target)
         header, voxels = read(target.getvalue())

@@ -134,7 +134,9 @@ def test_a_tissue_map_of_ones_own_and_unknown_values_by_name() -> None:
         load(labels)
     negative = VOXELS.astype("i2")
     negative[0, 0, 0] = -1
-    with pytest.raises(SpecError, match="names no tissue for -1;"):
+    with pytest.raises(
+        SpecError, match="names no tissue for -1, and none can: labels are whole numbers from 0 to 65535"
+    ):
         load(negative)
     own_labels = load().labels
     again = load(np.ascontiguousarray(own_labels), tissues="tomosim")

@@ -30,21 +30,27 @@ def read_header(file: IO[bytes]) -> Header:
 
     raises: SpecError
     """
-    head = first_bytes(file, HEAD_BYTES)
+    head = head_of(file)
     whole_gzip = begins_with_gzip(file)
     if nifti.looks_like(head):
         return nifti.parse(head, whole_gzip)
     if not (head.startswith(nrrd.MAGIC) or metaimage.looks_like(head)):
         raise refuse(foreign.explain(head, file, whole_gzip))
-    is_nrrd = head.startswith(nrrd.MAGIC)
-    if not (nrrd.is_whole(head) if is_nrrd else metaimage.is_whole(head)):
-        head = first_bytes(file, MAX_HEADER_BYTES)
-    header = nrrd.parse(head) if is_nrrd else metaimage.parse(head)
+    header = nrrd.parse(head) if head.startswith(nrrd.MAGIC) else metaimage.parse(head)
     if not whole_gzip:
         return header
     if header.encoding != "raw" or header.lines or header.skip < 0:
         raise refuse("it is gzip-compressed as a whole, and its voxels are packed or come after a skip: unpack it once")
     return replace(header, encoding="gzip", whole_gzip=True)
+
+
+def head_of(file: IO[bytes]) -> bytes:
+    """The first bytes of a file, unpacked where it is gzip-compressed; with all of a header of NRRD or MetaImage."""
+    head = first_bytes(file, HEAD_BYTES)
+    is_whole = nrrd.is_whole if head.startswith(nrrd.MAGIC) else metaimage.is_whole
+    if (head.startswith(nrrd.MAGIC) or metaimage.looks_like(head)) and not is_whole(head):
+        return first_bytes(file, MAX_HEADER_BYTES)
+    return head
 
 
 def first_bytes(file: IO[bytes], count: int) -> bytes:
@@ -103,15 +109,22 @@ def _exactly(file: IO[bytes], header: Header) -> Iterator[bytes]:
     for piece in _unpacked(file, header):
         done += len(piece)
         if done > expected:
-            raise refuse(f"it holds more than the {expected} bytes of {' x '.join(map(str, header.shape))} voxels")
+            raise refuse(
+                f"it holds more than the {expected} bytes of {_voxels(header)}: correct their number, their type "
+                f"({header.dtype.name}) or the bytes before them, or save it again"
+            )
         if piece:
             yield piece
     if done < expected:
         raise refuse(
-            f"it ends after {done} of the {expected} bytes of {' x '.join(map(str, header.shape))} voxels: fetch or "
-            "save it again, or correct its sizes",
+            f"it ends after {done} of the {expected} bytes of {_voxels(header)}: fetch or save it again, or correct "
+            f"their number or type ({header.dtype.name})",
             "upload-cut-short",
         )
+
+
+def _voxels(header: Header) -> str:
+    return f"{' x '.join(map(str, header.shape))} voxels"
 
 
 def _unpacked(file: IO[bytes], header: Header) -> Iterator[bytes]:

@@ -15,7 +15,13 @@ _CONVERT = "open it in 3D Slicer or ITK-SNAP and save the labels as .nrrd or .ni
 _MAGIC = (
     (0, b"version https://git-lfs", "a pointer of Git LFS, not the file itself: 'git lfs pull' fetches it"),
     (128, b"DICM", f"a DICOM file: {_CONVERT}"),
-    (0, b"\x93NUMPY", "a NumPy array: numpy.load(FILE).tofile('labels.raw') in Python, then " + _RAW),
+    (
+        0,
+        b"\x93NUMPY",
+        "a NumPy array: numpy.load(FILE).astype('uint16').tofile('labels.raw') in Python, then tomosim phantom add "
+        'labels.raw --header header.json with {"shape": [slices, rows, columns], "spacing_mm": [1, 1, 1], '
+        '"dtype": "uint16"}',
+    ),
     (0, b"II*\0", f"a TIFF picture: {_CONVERT}"),
     (0, b"MM\0*", f"a TIFF picture: {_CONVERT}"),
     (0, b"II+\0", f"a TIFF picture: {_CONVERT}"),
