@@ -33,8 +33,8 @@ def _reading(
         str | None,
         Query(
             description="JSON: how the file is to be read, as far as it does not say so itself: tissues, compressed, "
-            "axes, spacing_mm, confirm_size, confirm_tissues, and for raw voxels raw = {shape, spacing_mm, dtype, ...}; "
-            "see the schema 'reading'"
+            "axes, spacing_mm, confirm_size, confirm_tissues, and for raw voxels raw = {shape, spacing_mm, dtype, "
+            "...}; see the schema 'reading'"
         ),
     ] = None,
 ) -> Reading:

@@ -59,8 +59,8 @@ class Lesions:
 
     def extents(self) -> dict[Tissue, Extents]:
         """The connected components of each tissue. raises: SpecError where they are too many to be followed"""
-        found = {tissue: components.extents() for tissue, components in self._components.items()}
-        for tissue, components in found.items():
+        extents = {tissue: components.extents() for tissue, components in self._components.items()}
+        for tissue, components in extents.items():
             if len(components) > MOST:
                 name = tissue.name.lower()
                 message = (
@@ -72,7 +72,7 @@ class Lesions:
                     code="too-many-lesions",
                     problems=[{"field": "phantom.tissues", "value": name, "message": message}],
                 )
-        return found
+        return extents
 
 
 def kinds(extents: dict[Tissue, Extents], spacing: NDArray[np.float64]) -> Kinds:

@@ -18,7 +18,7 @@ from simcore.phantom.upload.formats.decoding import blocks, read_header
 from simcore.phantom.upload.formats.header import Header
 from simcore.phantom.upload.paddle import refused
 from simcore.phantom.upload.pieces import Box
-from simcore.phantom.upload.spec import Axes, UploadedPhantom
+from simcore.phantom.upload.spec import Axes, UploadedPhantom, along
 from simcore.phantom.upload.values import labels_of
 
 MARGIN = 1
@@ -30,7 +30,7 @@ Areas = tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]
 
 @dataclass(frozen=True)
 class Survey:
-    """What a file holds, found without keeping its voxels.
+    """What a file holds, read without keeping its voxels.
 
     values: voxels of every value.
     areas:  voxels of tissue in every plane across each axis of the array; three arrays, slowest axis first.
@@ -106,16 +106,16 @@ def _count(mask: NDArray[np.bool_], areas: tuple[NDArray[np.int64], ...], plane:
         areas[2][:] += np.count_nonzero(mask, axis=(0, 1))
 
 
-def cut_box(found: Survey, axes: Axes, compressed: bool, body: Box | None = None) -> tuple[Box, paddle.Gap | None]:
+def cut_box(scan: Survey, axes: Axes, compressed: bool, body: Box | None = None) -> tuple[Box, paddle.Gap | None]:
     """What is cut out of the array: the tissue, of a compressed breast that between its plates, and these.
 
     body: of the tissue where not all of it counts.
     raises: SpecError where there is no tissue, or plates that do not fit
     """
-    box = body or found.box
+    box = body or scan.box
     if box is None:
         raise refused("tissues", None, "the label volume holds nothing but air")
-    gap = paddle.gap(found.plates, found.areas, axes)
+    gap = paddle.gap(scan.plates, scan.areas, axes)
     if gap is None:
         return box, None
     if not compressed:
@@ -135,27 +135,33 @@ def load(spec: UploadedPhantom, file: IO[bytes], progress: Progress = silent) ->
     if header.shape != spec.shape:
         raise refused("shape", list(spec.shape), f"the file has {list(header.shape)} voxels")
     anatomy = None if spec.compressed else Anatomy(header.shape, body_only=True)
-    found = survey(file, spec.tissues, lambda fraction, message: progress(0.45 * fraction, message), anatomy)
+    scan = survey(file, spec.tissues, lambda fraction, message: progress(0.45 * fraction, message), anatomy)
     extents = anatomy.body.extents() if anatomy else None
     body = pieces.body_box(extents, spec.voxel_volume_mm3) if extents else None
-    box, gap = cut_box(found, spec.axes, spec.compressed, body)
+    box, gap = cut_box(scan, spec.axes, spec.compressed, body)
     _check_extent(box, spec)
-    wall.check(found.ends(box), spec.axes)
+    wall.check(scan.ends(box), spec.axes)
     labels, margin = _room(box, spec)
     inner = labels[margin : len(labels) - margin, margin : labels.shape[1] - margin, : labels.shape[2] - margin]
-    _fill(_native(inner, spec.axes), file, found, box, spec, progress)
+    _fill(_native(inner, spec.axes), file, scan, box, spec, progress)
     dropped = 0
     if gap is not None:
         inner[inner == tissue_maps.PADDLE] = Tissue.AIR
     elif body is not None and extents is not None:
-        pieces.drop(inner, spec.voxel_volume_mm3)
+        pieces.drop(inner)
         dropped = len(extents) - 1
     kept = inner[_filled(inner, all_z=gap is not None)]
     wall.check_kept(np.count_nonzero(kept, axis=(0, 1)), spec.axes)
     if kept.shape != inner.shape:
         labels = np.pad(kept, ((margin, margin), (margin, margin), (0, margin)))
     grid = _compressed_grid(labels, spec, gap) if spec.compressed else _uncompressed_grid(labels, spec)
-    report = _report(labels, grid, spec) | _left_out(labels, found, spec, gap, dropped)
+    counts = _census(labels)
+    report = _report(counts, grid, spec)
+    if gap is not None:
+        report["plates_mm"] = grid.upper[2]
+    if dropped:
+        report["dropped_pieces"] = dropped
+    report |= _left_out(counts, scan, spec)
     truth = lesions.truth(labels, grid)
     progress(1.0, "phantom ready")
     return Phantom(labels, grid, truth, report)
@@ -165,8 +171,7 @@ def _check_extent(box: Box, spec: UploadedPhantom) -> None:
     """raises: SpecError where there is more tissue than the specification says, by which its needs are predicted"""
     if spec.extent_mm is None:
         return
-    sides = [box[_along(spec, name)] for name in "xyz"]
-    edges = [spec.spacing_mm[_along(spec, name)] for name in "xyz"]
+    sides, edges = [box[along(spec.axes, name)] for name in "xyz"], _spacing(spec)
     size = [round((last - first) * edge, 6) for (first, last), edge in zip(sides, edges, strict=True)]
     if any(real > said + 0.5 * edge for real, said, edge in zip(size, spec.extent_mm, edges, strict=True)):
         shown = " x ".join(f"{s:g}" for s in size)
@@ -174,10 +179,10 @@ def _check_extent(box: Box, spec: UploadedPhantom) -> None:
 
 
 def _fill(
-    target: NDArray[np.uint8], file: IO[bytes], found: Survey, box: Box, spec: UploadedPhantom, progress: Progress
+    target: NDArray[np.uint8], file: IO[bytes], scan: Survey, box: Box, spec: UploadedPhantom, progress: Progress
 ) -> None:
     """Writes the tissues of the voxels in ``box`` to ``target``, whose axes are those of the array."""
-    header, table = found.header, tissue_maps.table(spec.tissues)
+    header, table = scan.header, tissue_maps.table(spec.tissues)
     (a0, a1), (b0, b1), (c0, c1) = box
     for plane, row, voxels in blocks(file, header):
         n, rows, _ = voxels.shape
@@ -218,21 +223,17 @@ def _native(labels: NDArray[np.uint8], axes: Axes) -> NDArray[np.uint8]:
     return view[tuple(slice(None, None, 1 if axis[0] == "+" else -1) for axis in axes)]
 
 
-def _along(spec: UploadedPhantom, name: str) -> int:
-    """Which axis of the array leads along "x", "y" or "z"."""
-    return next(n for n, axis in enumerate(spec.axes) if axis[1] == name)
-
-
 def _room(box: Box, spec: UploadedPhantom) -> tuple[NDArray[np.uint8], int]:
     """Air (z, y, x) for what is cut out, and how many voxels of it lie on all sides but the chest wall."""
-    nz, ny, nx = (box[_along(spec, name)][1] - box[_along(spec, name)][0] for name in "zyx")
+    sides = (box[along(spec.axes, name)] for name in "zyx")
+    nz, ny, nx = (behind - first for first, behind in sides)
     margin = 0 if spec.compressed else MARGIN
     return np.zeros((nz + 2 * margin, ny + 2 * margin, nx + margin), np.uint8), margin
 
 
 def _spacing(spec: UploadedPhantom) -> tuple[float, float, float]:
     """Voxel edges along (x, y, z), mm."""
-    x, y, z = (spec.spacing_mm[_along(spec, name)] for name in "xyz")
+    x, y, z = map(spec.edge_mm, "xyz")
     return x, y, z
 
 
@@ -246,29 +247,22 @@ def _compressed_grid(labels: NDArray[np.uint8], spec: UploadedPhantom, gap: padd
     """z = 0 on the lower plate, y = 0 in the middle. raises: SpecError where the tissue is above the upper plate"""
     spacing, said = _spacing(spec), spec.thickness_mm
     height, edge = len(labels) * spacing[2], spacing[2]
-    if said is not None and gap is not None and abs(said - height) > 0.5 * edge:
-        message = f"the plates in the file are {height:g} mm apart: leave thickness_mm out, or map the plates to 'air'"
-        raise refused("thickness_mm", said, message)
+    if said is not None and gap is not None:
+        paddle.check_thickness(said, height, edge)
     if said is not None and said < height - edge:
         raise refused("thickness_mm", said, f"the tissue is {height:g} mm high; at least that, or none")
     return Grid(labels.shape, spacing, (0.0, -labels.shape[1] * spacing[1] / 2, 0.0))
 
 
-def _left_out(
-    labels: NDArray[np.uint8], found: Survey, spec: UploadedPhantom, gap: paddle.Gap | None, dropped: int
-) -> Report:
-    """What of the file is not in the phantom, for its report. dropped: pieces."""
-    table, counts = tissue_maps.table(spec.tissues), np.zeros(MAX_TISSUES, np.int64)
-    for value, voxels in found.values.items():
+def _left_out(counts: NDArray[np.int64], scan: Survey, spec: UploadedPhantom) -> Report:
+    """What of the file is not in the phantom, for its report. counts: voxels of every tissue in the phantom."""
+    table, missing = tissue_maps.table(spec.tissues), -counts
+    for value, voxels in scan.values.items():
         if table[value] < MAX_TISSUES:
-            counts[table[value]] += voxels
-    counts -= _census(labels)
+            missing[table[value]] += voxels
     voxel_ml = spec.voxel_volume_mm3 * 1e-3
-    report: Report = {} if gap is None else {"plates_mm": len(labels) * _spacing(spec)[2]}
-    if dropped:
-        report["dropped_pieces"] = dropped
-    missing = {t.name.lower(): float(counts[t]) * voxel_ml for t in Tissue if t and counts[t] > 0}
-    return report | ({"left_out_ml": missing} if missing else {})
+    volumes = {t.name.lower(): float(missing[t]) * voxel_ml for t in Tissue if t and missing[t] > 0}
+    return {"left_out_ml": volumes} if volumes else {}
 
 
 def _census(labels: NDArray[np.uint8]) -> NDArray[np.int64]:
@@ -279,8 +273,8 @@ def _census(labels: NDArray[np.uint8]) -> NDArray[np.int64]:
     return counts
 
 
-def _report(labels: NDArray[np.uint8], grid: Grid, spec: UploadedPhantom) -> Report:
-    counts = _census(labels)
+def _report(counts: NDArray[np.int64], grid: Grid, spec: UploadedPhantom) -> Report:
+    """counts: voxels of every tissue."""
     voxel_ml = grid.voxel_volume * 1e-3
     inner = int(counts.sum() - counts[Tissue.AIR] - counts[Tissue.SKIN] - counts[Tissue.NIPPLE])
     report: Report = {

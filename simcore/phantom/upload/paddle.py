@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from simcore.core.errors import SpecError
-from simcore.phantom.upload.spec import Axes
+from simcore.phantom.upload.spec import Axes, along
 
 WHOLE_PLATE = 0.5
 """Planes with at least this part of the voxels of the fullest plane are a plate's."""
@@ -42,19 +42,19 @@ def gap(plates: tuple[Profile, Profile, Profile], body: tuple[Profile, Profile, 
     total = int(plates[0].sum())
     if not total:
         return None
-    along = next(n for n, axis in enumerate(axes) if axis[1] == "z")
+    upright = along(axes, "z")
     density = [int(profile.max()) / total for profile in plates]
     across = int(np.argmax(density))
-    if across != along and density[across] > 1.5 * density[along]:
+    if across != upright and density[across] > 1.5 * density[upright]:
         turned = list(axes)
-        turned[across], turned[along] = axes[along], axes[across]
+        turned[across], turned[upright] = axes[upright], axes[across]
         raise refused(
             "axes",
             list(axes),
             f"its compression plates lie across {axes[across][1]}, not across z, along which a breast is compressed: "
             f"permute the axes, {','.join(turned)}",
         )
-    profile = plates[along]
+    profile = plates[upright]
     full = profile >= WHOLE_PLATE * profile.max()
     edges = np.flatnonzero(np.diff(np.concatenate([[False], full, [False]]).astype(np.int8)))
     runs = [(int(a), int(b)) for a, b in edges.reshape(-1, 2)]
@@ -66,8 +66,8 @@ def gap(plates: tuple[Profile, Profile, Profile], body: tuple[Profile, Profile, 
             f"its compression plates are {len(runs)} layers along z with {stray:.0%} of their voxels elsewhere, not "
             "two flat plates: map their value to 'air' to do without, and give thickness_mm",
         )
-    first, behind = _between(runs, body[along])
-    if not body[along][first:behind].any():
+    first, behind = _between(runs, body[upright])
+    if not body[upright][first:behind].any():
         raise refused("tissues", None, "no tissue lies between its compression plates")
     return Gap(first, behind, len(runs) == 1, stray)
 
@@ -80,6 +80,13 @@ def _between(runs: list[tuple[int, int]], body: Profile) -> tuple[int, int]:
     if int(body[:first].sum()) > int(body[behind:].sum()):
         return int(filled[0]), first
     return behind, int(filled[-1]) + 1 if len(filled) else behind
+
+
+def check_thickness(thickness_mm: float, plates_mm: float, edge_mm: float) -> None:
+    """raises: SpecError where a thickness is not the distance of the plates in the file, within half a voxel"""
+    if abs(thickness_mm - plates_mm) > 0.5 * edge_mm:
+        message = f"the plates in the file are {plates_mm:g} mm apart: leave thickness_mm out, or map them to 'air'"
+        raise refused("thickness_mm", thickness_mm, message)
 
 
 def refused(field: str, value: object, message: str) -> SpecError:

@@ -19,7 +19,7 @@ from pydantic import ValidationError
 from simcore.core.errors import SpecError
 from simcore.core.store import FileRef, Store, canonical
 from simcore.core.tissues import Tissue
-from simcore.phantom.upload import segments, tissue_maps, wall
+from simcore.phantom.upload import paddle, segments, tissue_maps, wall
 from simcore.phantom.upload.anatomy import Anatomy
 from simcore.phantom.upload.formats.decoding import read_header
 from simcore.phantom.upload.formats.header import Edges, Header, reason, refuse
@@ -115,16 +115,16 @@ def get(store: Store, sha256: str) -> Upload | None:
     try:
         note = json.loads(store.read_document(FOLDER, f"{sha256}.json") or b"{}")
         lists = {name: tuple(note.get(name, ())) for name in ("remarks", "contents")}
-        found = Upload(**note | lists | {"ends": tuple(tuple(e) for e in note.get("ends", ()))})
+        upload = Upload(**note | lists | {"ends": tuple(tuple(e) for e in note.get("ends", ()))})
     except (ValueError, TypeError):
         return None
-    return found if store.has(found.ref) else None
+    return upload if store.has(upload.ref) else None
 
 
 def uploads(store: Store) -> list[Upload]:
     """All uploads, by digest."""
-    found = (get(store, name.removesuffix(".json")) for name in store.documents(FOLDER))
-    return [upload for upload in found if upload is not None]
+    notes = (get(store, name.removesuffix(".json")) for name in store.documents(FOLDER))
+    return [upload for upload in notes if upload is not None]
 
 
 def open_file(store: Store, spec: UploadedPhantom) -> IO[bytes]:
@@ -159,10 +159,7 @@ def _check_against(upload: Upload, spec: UploadedPhantom) -> None:
         if not spec.compressed:
             raise not_compressed()
         if spec.axes == noted.axes and spec.spacing_mm == noted.spacing_mm and spec.thickness_mm is not None:
-            edge = spec.spacing_mm[next(n for n, axis in enumerate(spec.axes) if axis[1] == "z")]
-            if abs(spec.thickness_mm - upload.plates_mm) > 0.5 * edge:
-                message = f"the plates in the file are {upload.plates_mm:g} mm apart: leave thickness_mm out"
-                raise refused("thickness_mm", spec.thickness_mm, message)
+            paddle.check_thickness(spec.thickness_mm, upload.plates_mm, spec.edge_mm("z"))
     planes = zip(noted.planes_used(), spec.planes_used(), strict=True)
     less = spec.compressed == noted.compressed and any(real > said + 0.5 for real, said in planes)
     if less and noted.extent_mm and spec.extent_mm:
@@ -201,11 +198,11 @@ def _add(
         spacing, axes = header.placed(reading.spacing_mm, reading.axes)
         tissues, said = _tissues(reading, named or segments.names(file))
         anatomy = Anatomy(header.shape)
-        found = survey(file, tissues, anatomy=anatomy)
-    if found.box is None:
-        raise refuse(f"it holds nothing but air by the tissue map: values {', '.join(map(str, found.values))}")
-    seen = review(found, anatomy, spacing, axes, tissues, reading.compressed, reading.confirm_tissues)
-    _check_volume(found.body_voxels, spacing, reading)  # last: what is no breast in any unit is told as that
+        scan = survey(file, tissues, anatomy=anatomy)
+    if scan.box is None:
+        raise refuse(f"it holds nothing but air by the tissue map: values {', '.join(map(str, scan.values))}")
+    judgement = review(scan, anatomy, spacing, axes, tissues, reading.compressed, reading.confirm_tissues)
+    _check_volume(scan.body_voxels, spacing, reading)  # last: what is no breast in any unit is told as that
     try:
         phantom = UploadedPhantom(
             sha256=64 * "0",
@@ -214,27 +211,27 @@ def _add(
             axes=axes,
             tissues=tissues,
             compressed=reading.compressed,
-            thickness_mm=seen.thickness_mm,
-            extent_mm=seen.extent_mm,
+            thickness_mm=judgement.thickness_mm,
+            extent_mm=judgement.extent_mm,
         )
     except ValidationError as error:
         first = error.errors(include_url=False)[0]
         raise refuse(f"{'.'.join(map(str, first['loc']))} = {first['input']}: {first['msg']}") from None
     ref = store.add(path)
-    values = {str(value): count for value, count in found.values.items()}
+    values = {str(value): count for value, count in scan.values.items()}
     part = phantom.with_(sha256=ref.sha256).model_dump(mode="json")
-    remarks = (*header.remarks, *_overridden(header, reading), *said, *seen.remarks)
+    remarks = (*header.remarks, *_overridden(header, reading), *said, *judgement.remarks)
     upload = Upload(
         ref.sha256,
         ref.size,
         name,
-        found.header.format,
+        scan.header.format,
         values,
         part,
         remarks,
-        seen.contents,
-        tuple((e.first, e.largest, e.last) for e in found.ends(found.box)),
-        seen.thickness_mm,
+        judgement.contents,
+        tuple((e.first, e.largest, e.last) for e in scan.ends(scan.box)),
+        judgement.thickness_mm,
     )
     store.write_document(FOLDER, f"{upload.sha256}.json", canonical(asdict(upload)))
     return upload

@@ -41,7 +41,7 @@ class Review:
 
 
 def review(
-    found: Survey,
+    scan: Survey,
     anatomy: Anatomy,
     spacing_mm: Edges,
     axes: Axes,
@@ -54,7 +54,7 @@ def review(
     raises: SpecError where no breast can come of it
     """
     voxel_mm3 = float(np.prod(spacing_mm))
-    contents = tuple(_contents(found, tissues, voxel_mm3))
+    contents = tuple(_contents(scan, tissues, voxel_mm3))
     volumes = _volumes(contents)
     remarks = list(_doubts(contents, volumes, anatomy, confirmed))
     extents = anatomy.body.extents()
@@ -64,8 +64,8 @@ def review(
         count = len(extents) - 1
         what = "1 piece" if count == 1 else f"{count} pieces"
         remarks.append(f"left out: {what} beside the breast, {ml:.3g} ml in all")
-    box, gap = cut_box(found, axes, compressed, body)
-    wall.check(found.ends(box), axes)
+    box, gap = cut_box(scan, axes, compressed, body)
+    wall.check(scan.ends(box), axes)
     names = [axis[1] for axis in axes]
     planes = dict(zip(names, (last - first for first, last in box), strict=True))
     edges = dict(zip(names, spacing_mm, strict=True))
@@ -73,22 +73,22 @@ def review(
         _check_planes(planes)
     x, y, z = (round(planes[name] * edges[name], 6) for name in "xyz")
     if gap is not None:
-        remarks += _plates(found, gap.first, gap.behind, gap.single, gap.stray, z, names.index("z"), voxel_mm3)
+        remarks += _plates(scan, gap.first, gap.behind, gap.single, gap.stray, z, names.index("z"), voxel_mm3)
     known = lesions.kinds(anatomy.lesions.extents(), np.array(spacing_mm))
     remarks += [f"lesions: {known}"] if str(known) else []
     return Review(contents, tuple(remarks), (x, y, z), None if gap is None else z)
 
 
-def _contents(found: Survey, tissues: tissue_maps.TissueMap, voxel_mm3: float) -> Iterator[dict[str, Any]]:
+def _contents(scan: Survey, tissues: tissue_maps.TissueMap, voxel_mm3: float) -> Iterator[dict[str, Any]]:
     table = tissue_maps.table(tissues)
-    for value, voxels in found.values.items():
+    for value, voxels in scan.values.items():
         name = tissue_maps.name_of(int(table[value]))
         yield {
             "value": value,
             "tissue": name,
             "voxels": voxels,
             "ml": round(voxels * voxel_mm3 * 1e-3, 6),
-            "share": None if name in ("air", "paddle") else round(voxels / max(1, found.body_voxels), 6),
+            "share": None if name in ("air", "paddle") else round(voxels / max(1, scan.body_voxels), 6),
         }
 
 
@@ -142,9 +142,9 @@ def _doubts(
 
 
 def _refuse_tissues(words: str, contents: tuple[dict[str, Any], ...]) -> None:
-    held = ", ".join(f"{e['value']} = {e['tissue']} ({e['ml']:.3g} ml)" for e in contents)
+    listed = ", ".join(f"{e['value']} = {e['tissue']} ({e['ml']:.3g} ml)" for e in contents)
     message = (
-        f"this is hardly a breast, {words}; as read: {held}. Say which tissue each value is (--tissue-map, tissues: "
+        f"this is hardly a breast, {words}; as read: {listed}. Say which tissue each value is (--tissue-map, tissues: "
         f"{', '.join(tissue_maps.BUILT_IN)}, or a map of your own), or confirm it (--confirm-tissues, "
         "confirm_tissues = true)"
     )
@@ -169,11 +169,11 @@ def _check_planes(planes: dict[str, int]) -> None:
 
 
 def _plates(
-    found: Survey, first: int, behind: int, single: bool, stray: float, thickness: float, axis: int, voxel_mm3: float
+    scan: Survey, first: int, behind: int, single: bool, stray: float, thickness: float, axis: int, voxel_mm3: float
 ) -> Iterator[str]:
     other = "; the file has one plate, the other is taken where the tissue ends" if single else ""
     yield f"the plates in the file are {thickness:g} mm apart, which is the compressed thickness{other}"
-    outside = found.body_voxels - int(found.areas[axis][first:behind].sum())
+    outside = scan.body_voxels - int(scan.areas[axis][first:behind].sum())
     if outside:
         yield f"{outside * voxel_mm3 * 1e-3:.3g} ml of tissue above and below the plates are cut off"
     if stray > 0.01:

@@ -29,6 +29,11 @@ OWN_AXES: Axes = ("+z", "+y", "+x")
 """Those of tomosim."""
 
 
+def along(axes: Axes, name: str) -> int:
+    """Which axis of an array leads along "x", "y" or "z"."""
+    return next(n for n, axis in enumerate(axes) if axis[1] == name)
+
+
 class UploadedPhantom(Spec):
     """A label volume that was added to the store (`tomosim phantom add`, `POST /v1/phantoms`; both print this part of
     a specification). It is cut to its tissue; x = 0 is its first plane of tissue, which must be a flat chest wall."""
@@ -137,11 +142,11 @@ class UploadedPhantom(Spec):
 
     def edge_mm(self, name: str) -> float:
         """Voxel edge along "x", "y" or "z", mm."""
-        return next(d for axis, d in zip(self.axes, self.spacing_mm, strict=True) if axis[1] == name)
+        return self.spacing_mm[along(self.axes, name)]
 
     def _array_mm(self) -> tuple[float, float, float]:
-        along = {axis[1]: n * d for axis, n, d in zip(self.axes, self.shape, self.spacing_mm, strict=True)}
-        return along["x"], along["y"], along["z"]
+        x, y, z = (self.shape[along(self.axes, name)] * self.edge_mm(name) for name in "xyz")
+        return x, y, z
 
     def planes_used(self) -> tuple[float, float, float]:
         """``size_mm`` in voxels along the axes of the array."""

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from simcore.phantom.upload.paddle import refused
-from simcore.phantom.upload.spec import Axes
+from simcore.phantom.upload.spec import Axes, along
 
 LEAST_WALL = 0.2
 """Least area of the tissue at the chest wall relative to that of the largest plane across x."""
@@ -34,7 +34,7 @@ class Ends(NamedTuple):
 
 def check(ends: tuple[Ends, Ends, Ends], axes: Axes) -> None:
     """raises: SpecError where x does not lead from a flat chest wall to the nipple, with axes that do"""
-    n = next(n for n, axis in enumerate(axes) if axis[1] == "x")
+    n = along(axes, "x")
     sign = axes[n][0]
     if ends[n].is_wall(sign):
         return

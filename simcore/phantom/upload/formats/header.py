@@ -142,11 +142,11 @@ def checked_spacing(edges: list[float], name: str) -> Edges:
     return round(c, 9), round(b, 9), round(a, 9)
 
 
-def check_fields(found: dict[str, str], names: Iterable[str]) -> None:
+def check_fields(entries: dict[str, str], names: Iterable[str]) -> None:
     """raises: SpecError where one of the fields is longer than MAX_FIELD"""
     for name in names:
-        if len(found.get(name, "")) > MAX_FIELD:
-            raise refuse(f"its field {name!r} has {len(found[name])} characters; at most {MAX_FIELD}")
+        if len(entries.get(name, "")) > MAX_FIELD:
+            raise refuse(f"its field {name!r} has {len(entries[name])} characters; at most {MAX_FIELD}")
 
 
 def number(text: str, name: str) -> float:

@@ -30,19 +30,19 @@ def two_files(path: Path) -> tuple[Path, Header] | None:
         return None
     head = _head(path)
     if suffix == ".mhd":
-        found, offset = metaimage.tags(head)
-        name = found[metaimage.LAST_TAG]
+        entries, offset = metaimage.tags(head)
+        name = entries[metaimage.LAST_TAG]
         if name.upper() == "LOCAL":
             return None
-        header = metaimage.header_of(found, 0)
+        header = metaimage.header_of(entries, 0)
     else:
-        found, offset = nrrd.fields(head)
-        name = next((found[n] for n in nrrd.DATA_FILE if n in found), "")
+        entries, offset = nrrd.fields(head)
+        name = next((entries[n] for n in nrrd.DATA_FILE if n in entries), "")
         if not name:
             if offset < path.stat().st_size:
                 return None
             raise refuse("the .nhdr header names no data file")
-        header = nrrd.header_of(found, 0)
+        header = nrrd.header_of(entries, 0)
     voxels = _beside(path, name)
     return voxels, _of_voxels(header, voxels, path, name)
 

@@ -65,63 +65,65 @@ def tags(head: bytes) -> tuple[dict[str, str], int]:
 
     raises: SpecError where the last one, ElementDataFile, is missing.
     """
-    found: dict[str, str] = {}
+    entries: dict[str, str] = {}
     offset = 0
-    while LAST_TAG not in found:
+    while LAST_TAG not in entries:
         end = head.find(b"\n", offset)
         line = _decoded(head[offset : end if end >= 0 else len(head)]).strip()
         name, equals, value = line.partition("=")
         if line and not equals:
             raise refuse(f"MetaImage header line {line[:60]!r}")
         if line:
-            found[name.strip().lower()] = value.strip()
+            entries[name.strip().lower()] = value.strip()
         if end < 0:
             break
         offset = end + 1
-    if LAST_TAG not in found:
+    if LAST_TAG not in entries:
         raise refuse("the MetaImage header has no ElementDataFile")
-    return found, offset
+    return entries, offset
 
 
 def parse(head: bytes) -> Header:
     """The header in the first bytes of a file. raises: SpecError"""
-    found, offset = tags(head)
-    if found[LAST_TAG].upper() != "LOCAL":
+    entries, offset = tags(head)
+    if entries[LAST_TAG].upper() != "LOCAL":
         raise refuse(
-            f"its voxels are in another file, {found[LAST_TAG][:80]!r}: add the .mhd file with 'tomosim phantom add' "
+            f"its voxels are in another file, {entries[LAST_TAG][:80]!r}: add the .mhd file with 'tomosim phantom add' "
             "where both lie, or save it as .mha"
         )
-    return header_of(found, offset)
+    return header_of(entries, offset)
 
 
-def header_of(found: dict[str, str], offset: int) -> Header:
+def header_of(entries: dict[str, str], offset: int) -> Header:
     """The header that tags describe. raises: SpecError"""
-    check_fields(found, _READ)
-    if found.get("elementnumberofchannels", "1") != "1":
+    check_fields(entries, _READ)
+    if entries.get("elementnumberofchannels", "1") != "1":
         raise refuse(
-            f"MetaImage ElementNumberOfChannels = {found['elementnumberofchannels']}: 1; one label a voxel is needed, "
-            "no colours or layers"
+            f"MetaImage ElementNumberOfChannels = {entries['elementnumberofchannels']}: 1; one label a voxel is "
+            "needed, no colours or layers"
         )
-    if not _true(found, "binarydata", default=True):
+    if not _true(entries, "binarydata", default=True):
         raise refuse("MetaImage BinaryData = False: save it in binary form")
     for name, nothing in (("ElementToIntensityFunctionSlope", 1.0), ("ElementToIntensityFunctionOffset", 0.0)):
-        if number(found.get(name.lower(), str(nothing)), f"MetaImage {name}") != nothing:
-            raise refuse(f"MetaImage {name} = {found[name.lower()]}: remove it where the stored values are the labels")
-    sizes = [whole_number(n, "MetaImage DimSize") for n in _tag(found, "DimSize").split()]
-    if len(sizes) != whole_number(_tag(found, "NDims"), "MetaImage NDims"):
-        raise refuse(f"MetaImage NDims = {found['ndims']} and DimSize = {found['dimsize']!r} differ")
+        if number(entries.get(name.lower(), str(nothing)), f"MetaImage {name}") != nothing:
+            raise refuse(
+                f"MetaImage {name} = {entries[name.lower()]}: remove it where the stored values are the labels"
+            )
+    sizes = [whole_number(n, "MetaImage DimSize") for n in _tag(entries, "DimSize").split()]
+    if len(sizes) != whole_number(_tag(entries, "NDims"), "MetaImage NDims"):
+        raise refuse(f"MetaImage NDims = {entries['ndims']} and DimSize = {entries['dimsize']!r} differ")
     kept = volume_axes(sizes)
     problems: dict[str, SpecError] = {}
-    spacing = attempt(problems, "spacing_mm", partial(_spacing, found, kept))
-    axes = attempt(problems, "axes", partial(_axes, found, len(sizes), kept))
-    compressed = _true(found, "compresseddata")
-    at, skip = _header_size(found, offset, compressed)
+    spacing = attempt(problems, "spacing_mm", partial(_spacing, entries, kept))
+    axes = attempt(problems, "axes", partial(_axes, entries, len(sizes), kept))
+    compressed = _true(entries, "compresseddata")
+    at, skip = _header_size(entries, offset, compressed)
     return Header(
         "metaimage",
         checked_shape([sizes[k] for k in kept], spacing),
         spacing,
         axes[0] if axes else None,
-        _dtype(found),
+        _dtype(entries),
         "zlib" if compressed else "raw",
         at,
         skip=skip,
@@ -130,18 +132,18 @@ def header_of(found: dict[str, str], offset: int) -> Header:
     )
 
 
-def _dtype(found: dict[str, str]) -> np.dtype[np.generic]:
-    kind = _tag(found, "ElementType").upper()
+def _dtype(entries: dict[str, str]) -> np.dtype[np.generic]:
+    kind = _tag(entries, "ElementType").upper()
     if kind not in _DTYPES:
         raise refuse(f"MetaImage ElementType = {kind!r}: labels are numbers ({', '.join(_DTYPES)})")
-    big = _true(found, "binarydatabyteordermsb") or _true(found, "elementbyteordermsb")
+    big = _true(entries, "binarydatabyteordermsb") or _true(entries, "elementbyteordermsb")
     return np.dtype(_DTYPES[kind]).newbyteorder(">" if big else "<")
 
 
-def _header_size(found: dict[str, str], offset: int, compressed: bool) -> tuple[int, int]:
+def _header_size(entries: dict[str, str], offset: int, compressed: bool) -> tuple[int, int]:
     """(offset, skip) of the voxels: HeaderSize counts from the beginning of their file; -1: they end it."""
-    size = whole_number(found.get("headersize", "0"), "MetaImage HeaderSize")
-    local = found[LAST_TAG].upper() == "LOCAL"
+    size = whole_number(entries.get("headersize", "0"), "MetaImage HeaderSize")
+    local = entries[LAST_TAG].upper() == "LOCAL"
     if size < -1 or (size == -1 and compressed) or 0 < size < offset:
         least = f"0, or from {offset} on" if local else "0 or more"
         raise refuse(f"MetaImage HeaderSize = {size}: {least}; -1 (the end of the file) only where nothing is packed")
@@ -150,21 +152,21 @@ def _header_size(found: dict[str, str], offset: int, compressed: bool) -> tuple[
     return (size or offset), 0
 
 
-def _spacing(found: dict[str, str], kept: list[int]) -> Edges | None:
+def _spacing(entries: dict[str, str], kept: list[int]) -> Edges | None:
     """Voxel edges, mm; None where the header has none. raises: SpecError where they are of no use"""
-    edges = found.get("elementspacing", found.get("elementsize"))
+    edges = entries.get("elementspacing", entries.get("elementsize"))
     if edges is None:
         return None
     if len(edges.split()) <= max(kept):
         raise refuse(f"MetaImage ElementSpacing = {edges!r}: three are needed; give spacing_mm")
-    length = mm_per(found.get("distanceunits", ""), "MetaImage DistanceUnits")
+    length = mm_per(entries.get("distanceunits", ""), "MetaImage DistanceUnits")
     values = [number(e, "MetaImage ElementSpacing") for e in edges.split()]
     return checked_spacing([values[k] * length for k in kept], "MetaImage ElementSpacing")
 
 
-def _axes(found: dict[str, str], dimensions: int, kept: list[int]) -> tuple[Axes, tuple[str, ...]]:
+def _axes(entries: dict[str, str], dimensions: int, kept: list[int]) -> tuple[Axes, tuple[str, ...]]:
     """Where the axes lead, and what to tell of it. raises: SpecError where that is not to be had"""
-    matrix = found.get("transformmatrix", found.get("orientation", found.get("rotation")))
+    matrix = entries.get("transformmatrix", entries.get("orientation", entries.get("rotation")))
     if matrix is None:
         return OWN_AXES, ()
     values = [number(e, "MetaImage TransformMatrix") for e in matrix.split()]
@@ -174,14 +176,14 @@ def _axes(found: dict[str, str], dimensions: int, kept: list[int]) -> tuple[Axes
     return axes_or_own(directions, "LPS")
 
 
-def _tag(found: dict[str, str], name: str) -> str:
-    if name.lower() not in found:
+def _tag(entries: dict[str, str], name: str) -> str:
+    if name.lower() not in entries:
         raise refuse(f"the MetaImage header has no {name}")
-    return found[name.lower()]
+    return entries[name.lower()]
 
 
-def _true(found: dict[str, str], name: str, default: bool = False) -> bool:
-    return found[name].lower() in ("true", "1", "t") if name in found else default
+def _true(entries: dict[str, str], name: str, default: bool = False) -> bool:
+    return entries[name].lower() in ("true", "1", "t") if name in entries else default
 
 
 def _decoded(text: bytes) -> str:

@@ -78,86 +78,88 @@ def fields(head: bytes) -> tuple[dict[str, str], int]:
     if end is None and not _DETACHED.search(head):
         raise refuse("the NRRD header has no end (an empty line)")
     text = head[: end.start()] if end else head
-    found: dict[str, str] = {}
+    entries: dict[str, str] = {}
     for line in _decoded(text).splitlines()[1:]:
         if line.startswith("#") or ":=" in line:
             continue
         name, colon, value = line.partition(":")
         if not colon:
             raise refuse(f"NRRD header line {line[:60]!r}")
-        found[name.strip().lower()] = value.strip()
+        entries[name.strip().lower()] = value.strip()
         if name.strip().lower() in DATA_FILE and value.split()[:1] == ["LIST"]:
             break  # the rest are names of files
-    return found, end.end() if end else len(head)
+    return entries, end.end() if end else len(head)
 
 
 def parse(head: bytes) -> Header:
     """The header in the first bytes of a file. raises: SpecError"""
-    found, offset = fields(head)
-    if any(name in found for name in DATA_FILE):
+    entries, offset = fields(head)
+    if any(name in entries for name in DATA_FILE):
         raise refuse(
             "its voxels are in another file: add the .nhdr file with 'tomosim phantom add' where both lie, or put them "
             "into one .nrrd file"
         )
-    return header_of(found, offset)
+    return header_of(entries, offset)
 
 
-def header_of(found: dict[str, str], offset: int) -> Header:
+def header_of(entries: dict[str, str], offset: int) -> Header:
     """The header that fields describe. raises: SpecError"""
-    check_fields(found, _READ)
-    encoding = _field(found, "encoding").lower()
+    check_fields(entries, _READ)
+    encoding = _field(entries, "encoding").lower()
     if encoding not in _ENCODINGS:
         raise refuse(f"NRRD encoding = {encoding!r}: save it as raw, gzip or bzip2")
-    sizes = [whole_number(n, "NRRD sizes") for n in _field(found, "sizes").split()]
-    if len(sizes) != whole_number(_field(found, "dimension"), "NRRD dimension"):
-        raise refuse(f"NRRD dimension = {found['dimension']} and sizes = {found['sizes']!r} differ")
-    vectors = _vectors(found["space directions"], len(sizes)) if "space directions" in found else None
+    sizes = [whole_number(n, "NRRD sizes") for n in _field(entries, "sizes").split()]
+    if len(sizes) != whole_number(_field(entries, "dimension"), "NRRD dimension"):
+        raise refuse(f"NRRD dimension = {entries['dimension']} and sizes = {entries['sizes']!r} differ")
+    vectors = _vectors(entries["space directions"], len(sizes)) if "space directions" in entries else None
     lists = [k for k, vector in enumerate(vectors) if vector is None] if vectors else []
     kept = volume_axes(sizes, lists)
     problems: dict[str, SpecError] = {}
-    spacing = attempt(problems, "spacing_mm", partial(_spacing, found, vectors, kept))
-    axes = attempt(problems, "axes", partial(_axes, found, vectors, kept))
+    spacing = attempt(problems, "spacing_mm", partial(_spacing, entries, vectors, kept))
+    axes = attempt(problems, "axes", partial(_axes, entries, vectors, kept))
     return Header(
         "nrrd",
         checked_shape([sizes[k] for k in kept], spacing),
         spacing,
         axes[0] if axes else None,
-        _dtype(found),
+        _dtype(entries),
         _ENCODINGS[encoding],
         offset,
-        lines=_skip(found, "line skip", 0, MAX_SKIPPED_LINES),
-        skip=_skip(found, "byte skip", *((-1, 2**62) if encoding == "raw" else (0, MAX_SKIPPED_BYTES))),
+        lines=_skip(entries, "line skip", 0, MAX_SKIPPED_LINES),
+        skip=_skip(entries, "byte skip", *((-1, 2**62) if encoding == "raw" else (0, MAX_SKIPPED_BYTES))),
         problems=problems,
         remarks=axes[1] if axes else (),
     )
 
 
-def _dtype(found: dict[str, str]) -> np.dtype[np.generic]:
-    kind = _field(found, "type").lower()
+def _dtype(entries: dict[str, str]) -> np.dtype[np.generic]:
+    kind = _field(entries, "type").lower()
     if kind not in _DTYPES:
         raise refuse(f"NRRD type = {kind!r}: labels are numbers ({', '.join(names[0] for names in TYPES.values())})")
     dtype = np.dtype(_DTYPES[kind])
     if dtype.itemsize > 1:
-        endian = _field(found, "endian").lower()
+        endian = _field(entries, "endian").lower()
         if endian not in ("little", "big"):
             raise refuse(f"NRRD endian = {endian!r}: little or big")
         dtype = dtype.newbyteorder("<" if endian == "little" else ">")
     return dtype
 
 
-def _skip(found: dict[str, str], name: str, least: int, most: int) -> int:
-    value = whole_number(found.get(name, found.get(name.replace(" ", ""), "0")), f"NRRD {name}")
+def _skip(entries: dict[str, str], name: str, least: int, most: int) -> int:
+    value = whole_number(entries.get(name, entries.get(name.replace(" ", ""), "0")), f"NRRD {name}")
     if not least <= value <= most:
         only = "" if least < 0 or name == "line skip" else " (-1, the end of the file, only where encoding is raw)"
         raise refuse(f"NRRD {name} = {value}: from {least} to {most}{only}")
     return value
 
 
-def _spacing(found: dict[str, str], vectors: list[NDArray[np.float64] | None] | None, kept: list[int]) -> Edges | None:
+def _spacing(
+    entries: dict[str, str], vectors: list[NDArray[np.float64] | None] | None, kept: list[int]
+) -> Edges | None:
     """Voxel edges, mm; None where the header has none. raises: SpecError where they are of no use"""
-    edges = _edges(found, kept)
+    edges = _edges(entries, kept)
     if vectors is not None:
-        length = mm_per(_one_unit(found, ("space units", "units"), kept), "NRRD space units")
+        length = mm_per(_one_unit(entries, ("space units", "units"), kept), "NRRD space units")
         norms = [float(np.linalg.norm(vectors[k])) * length for k in kept if vectors[k] is not None]  # type: ignore[arg-type]
         if len(norms) == 3:
             spacing = checked_spacing(norms, "NRRD space directions")
@@ -170,22 +172,22 @@ def _spacing(found: dict[str, str], vectors: list[NDArray[np.float64] | None] | 
     return None if edges is None else checked_spacing(edges, "NRRD spacings")
 
 
-def _edges(found: dict[str, str], kept: list[int]) -> list[float] | None:
+def _edges(entries: dict[str, str], kept: list[int]) -> list[float] | None:
     """Those of the field spacings, fastest first, mm; None without, or where one is NaN."""
-    if "spacings" not in found:
+    if "spacings" not in entries:
         return None
-    edges = found["spacings"].split()
+    edges = entries["spacings"].split()
     if len(edges) <= max(kept):
-        raise refuse(f"NRRD spacings = {found['spacings']!r}: three are needed")
+        raise refuse(f"NRRD spacings = {entries['spacings']!r}: three are needed")
     if any(edges[k].lower() in ("nan", "none", "???") for k in kept):
         return None
-    length = mm_per(_one_unit(found, ("units", "space units"), kept), "NRRD units")
+    length = mm_per(_one_unit(entries, ("units", "space units"), kept), "NRRD units")
     return [number(edges[k], "NRRD spacings") * length for k in kept]
 
 
-def _one_unit(found: dict[str, str], names: tuple[str, str], kept: list[int]) -> str:
+def _one_unit(entries: dict[str, str], names: tuple[str, str], kept: list[int]) -> str:
     """The unit of all axes; "" where none is given. raises: SpecError where they differ"""
-    text = next((found[name] for name in names if name in found), "")
+    text = next((entries[name] for name in names if name in entries), "")
     units = re.findall(r'"([^"]*)"', text) or text.split()
     if len(units) > 3 and len(units) > max(kept):
         units = [units[k] for k in kept]
@@ -196,22 +198,22 @@ def _one_unit(found: dict[str, str], names: tuple[str, str], kept: list[int]) ->
 
 
 def _axes(
-    found: dict[str, str], vectors: list[NDArray[np.float64] | None] | None, kept: list[int]
+    entries: dict[str, str], vectors: list[NDArray[np.float64] | None] | None, kept: list[int]
 ) -> tuple[Axes, tuple[str, ...]]:
     """Where the axes lead, and what to tell of it. raises: SpecError where that is not to be had"""
     rows = [vectors[k] for k in kept if vectors[k] is not None] if vectors else []
     if len(rows) < 3:
         return OWN_AXES, ()
-    space = found.get("space", "")
+    space = entries.get("space", "")
     frame = _FRAMES.get(space.lower())
     directions = np.array(rows)
     return axes_or_own(directions, frame) if frame else axes_without_patient(directions, space or "space dimension")
 
 
-def _field(found: dict[str, str], name: str) -> str:
-    if name not in found:
+def _field(entries: dict[str, str], name: str) -> str:
+    if name not in entries:
         raise refuse(f"the NRRD header has no {name!r}")
-    return found[name]
+    return entries[name]
 
 
 def _vectors(text: str, axes: int) -> list[NDArray[np.float64] | None]:

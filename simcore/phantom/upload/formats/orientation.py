@@ -39,8 +39,8 @@ def axes_of(directions: NDArray[np.float64], frame: str) -> tuple[Axes, tuple[st
             f"its axes are not parallel to those of the patient but tilted by {tilt:.1f} degrees, of which "
             f"{MAX_TILT_DEGREES:g} are taken: {_REMEDY}"
         )
-    told = (f"its axes are tilted by {tilt:.1f} degrees against those of the patient: read as if they were not",)
-    return axes, told if tilt > TOLD_DEGREES else ()
+    remarks = (f"its axes are tilted by {tilt:.1f} degrees against those of the patient: read as if they were not",)
+    return axes, remarks if tilt > TOLD_DEGREES else ()
 
 
 def nearest_axes(directions: NDArray[np.float64], frame: str) -> Axes:
@@ -62,8 +62,8 @@ def axes_without_patient(directions: NDArray[np.float64], frame: str) -> tuple[A
     units = _units(directions)
     _check_right_angles(units)
     named = ",".join(OWN_AXES)
-    told = f"its directions are those of {frame!r}, which says nothing of the patient: its axes are taken for {named}"
-    return OWN_AXES, () if np.allclose(units, np.eye(3), atol=1e-6) else (told,)
+    remark = f"its directions are those of {frame!r}, which says nothing of the patient: its axes are taken for {named}"
+    return OWN_AXES, () if np.allclose(units, np.eye(3), atol=1e-6) else (remark,)
 
 
 def _units(directions: NDArray[np.float64]) -> NDArray[np.float64]:
