@@ -17,6 +17,7 @@ def cautions(spec: SimulationSpec, reports: Mapping[str, Report]) -> list[str]:
     """One sentence each; none for a case that met no limit. reports: of the stages, by name."""
     return [
         *_of_phantom(reports.get("phantom", {})),
+        *_of_compression(spec, reports.get("fem", {})),
         *_of_warp(reports.get("warp", {})),
         *_of_projections(spec, reports.get("projection", {})),
         *_of_volume(spec, reports.get("reconstruction", {})),
@@ -29,6 +30,17 @@ def _of_phantom(report: Report) -> Iterator[str]:
     if left_out := report.get("left_out_ml"):
         volumes = ", ".join(f"{ml:.3g} ml of {name}" for name, ml in left_out.items())
         yield f"tissue of the file that is not in the phantom: {volumes}"
+
+
+def _of_compression(spec: SimulationSpec, report: Report) -> Iterator[str]:
+    plate = spec.compression.elastic_plates
+    if plate is not None and (least := report.get("least_plates_mm")):
+        depth, width = max(least[0], plate.depth_mm), max(least[1], plate.width_mm)
+        yield (
+            f"the breast reaches beyond the plates that bend (depth_mm = {plate.depth_mm:g}, width_mm = "
+            f"{plate.width_mm:g}), where they count as held; take compression.elastic_plates.depth_mm = {depth:g} and "
+            f"width_mm = {width:g}"
+        )
 
 
 def _of_warp(report: Report) -> Iterator[str]:

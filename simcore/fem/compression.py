@@ -18,7 +18,7 @@ from simcore.fem.newton.solver import Solver
 from simcore.fem.plates.bending import BendingPlate
 from simcore.fem.plates.edge import PlateEdge
 from simcore.fem.plates.friction import Friction
-from simcore.fem.report.report import report, verify
+from simcore.fem.report.report import beyond_plates, report, verify
 from simcore.fem.spec import MOST_PERCENT, CompressionSpec
 from simcore.fem.tissues import element_laws
 
@@ -46,10 +46,13 @@ def compress_mesh(mesh: TetMesh, phantom: Phantom, spec: CompressionSpec, progre
     assert plates is not None  # no state but that of rest is without
     verify(solver, solution, plates, spec)
     facts = report(mesh, solver, solution, plates)
+    after = mesh.nodes + solution.state.displacement
+    if spec.elastic_plates is not None:
+        facts |= beyond_plates(spec.elastic_plates, after, solution.state.contact.status)
     progress(1.0, f"compressed to {facts['thickness_mm']:.1f} mm")
     return Compression(
         displacement=solution.state.displacement,
-        plate_z=plates.bounds(mesh.nodes + solution.state.displacement),
+        plate_z=plates.bounds(after),
         force_N=0.5 * (facts["force_lower_N"] + facts["force_upper_N"]),
         outcome="converged",
         report=facts,

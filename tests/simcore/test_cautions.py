@@ -8,6 +8,7 @@ import pytest
 
 from simcore import presets
 from simcore.cautions import cautions
+from simcore.fem.spec import ElasticPlates
 
 SPEC = presets.get("tiny")
 
@@ -30,6 +31,14 @@ SPEC = presets.get("tiny")
 def test_a_limit_that_was_reached_is_told(stage: str, report: dict[str, Any], words: str) -> None:
     (sentence,) = cautions(SPEC, {stage: report})
     assert words in sentence
+
+
+def test_plates_that_the_breast_reaches_beyond_are_told_their_least_size() -> None:
+    plates = ElasticPlates(thickness_mm=10.0, depth_mm=60.0, width_mm=300.0)
+    spec = SPEC.with_(compression=SPEC.compression.with_(elastic_plates=plates))
+    (sentence,) = cautions(spec, {"fem": {"least_plates_mm": [99, 130]}})
+    assert sentence.endswith("take compression.elastic_plates.depth_mm = 99 and width_mm = 300")
+    assert cautions(spec, {"fem": {}}) == []
 
 
 def test_a_case_without_limits_has_no_cautions() -> None:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -13,10 +15,10 @@ from simcore.fem.newton.outcome import remedy_of_unverified
 from simcore.fem.newton.path import Solution
 from simcore.fem.newton.solver import GAP_MM, Solver
 from simcore.fem.plates.constraints import Constraints
-from simcore.fem.plates.contact import LOWER, MAX_PULL, UPPER, Plates
+from simcore.fem.plates.contact import FREE, LOWER, MAX_PULL, UPPER, Plates
 from simcore.fem.plates.friction import STICK_MM
 from simcore.fem.report.summary import shape_summary, strain_summary
-from simcore.fem.spec import CompressionSpec
+from simcore.fem.spec import CompressionSpec, ElasticPlates
 
 _BALANCE = 1e-3
 _DRIFT_MM = 1e-6
@@ -118,6 +120,15 @@ def report(mesh: TetMesh, solver: Solver, solution: Solution, plates: Plates) ->
         "newton_iterations": solution.counters.newton,
         "cg_iterations": solution.counters.cg,
     }
+
+
+def beyond_plates(plate: ElasticPlates, points: Floats, status: NDArray[np.int8]) -> Report:
+    """{"least_plates_mm": (depth, width) that would reach as far as the skin that touches}, where ``plate`` does not:
+    it counts as held there. points: (n, 3), present, mm. status: of Contact."""
+    x, y, _ = points[status != FREE].T
+    least = [math.ceil(x.max(initial=0.0)), 2 * math.ceil(np.abs(y).max(initial=0.0))]
+    small = plate.depth_mm < x.max(initial=0.0) or plate.width_mm < 2 * np.abs(y).max(initial=0.0)
+    return {"least_plates_mm": least} if small else {}
 
 
 def _plate_facts(plates: Plates, status: NDArray[np.int8]) -> Report:

@@ -188,6 +188,16 @@ def test_plates_that_do_not_come_to_rest_are_named(
     assert error.value.code == "unsettled-plates"
 
 
+def test_a_breast_beyond_the_plates_is_told_which_would_do(mesh: TetMesh) -> None:
+    small = ElasticPlates(thickness_mm=10.0, depth_mm=60.0, width_mm=70.0)
+    result = compress(mesh, ANY_PHANTOM, SPEC.with_(elastic_plates=small))
+    depth, width = result.report["least_plates_mm"]
+    assert 60 < depth < 100
+    assert 70 < width < 140
+    enough = small.with_(depth_mm=float(depth), width_mm=float(width))
+    assert "least_plates_mm" not in compress(mesh, ANY_PHANTOM, SPEC.with_(elastic_plates=enough)).report
+
+
 def test_presses_exclude_one_another() -> None:
     with pytest.raises(ValidationError, match="give one of"):
         CompressionSpec(paddle_angle_degrees=3.0, elastic_plates=ElasticPlates(thickness_mm=10.0))
