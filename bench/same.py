@@ -85,17 +85,18 @@ def main() -> int:
     with contextlib.ExitStack() as open_until_end:
         folder = Path(open_until_end.enter_context(tempfile.TemporaryDirectory()))
         where = (args.keep or folder).absolute()
-        trees = [
-            open_until_end.enter_context(worktree(revision, where, keep=args.keep is not None))
+        trees = {
+            revision: open_until_end.enter_context(worktree(revision, where, keep=args.keep is not None))
             for revision in dict.fromkeys((args.revision, args.other))
-        ]
+        }
         stores = [folder / "first", folder / "second"]
         titles = [args.revision, args.other or "working tree"]
         cases = {name: specification(name, stores) for name in names} | {
             name: brief(presets.get(name)) for name in args.preset
         }
         first, second = (
-            open_until_end.enter_context(Revision(*parts)) for parts in zip(titles, trees, stores, strict=True)
+            open_until_end.enter_context(Revision(title, trees[revision], store))
+            for title, revision, store in zip(titles, (args.revision, args.other), stores, strict=True)
         )
         with Stolen() as stolen:
             results = {name: compare(name, spec, first, second, args.rounds) for name, spec in cases.items()}
@@ -121,7 +122,7 @@ def worktree(revision: str | None, folder: Path, keep: bool) -> Iterator[Path]:
     try:
         yield tree
     finally:
-        if not keep:
+        if not keep and tree.exists():  # another name of the same revision may have had it
             subprocess.run([*git, "worktree", "remove", "--force", str(tree)], check=True)
 
 

@@ -182,7 +182,7 @@ def draw(generator: np.random.Generator) -> CompressionSpec:
 
 def faults(mesh: TetMesh, spec: CompressionSpec, result: Compression) -> list[str]:
     """What is wrong with a result that claims to have converged."""
-    found = []
+    problems = []
     report = result.report
     lower, upper = report["force_lower_N"], report["force_upper_N"]
     weight = (
@@ -190,12 +190,12 @@ def faults(mesh: TetMesh, spec: CompressionSpec, result: Compression) -> list[st
     )
     held_by_wall = spec.chest_wall != "free_in_plane"
     if not held_by_wall and abs(upper - lower) > MAX_IMBALANCE * max(upper, lower) + weight:
-        found.append(f"plates push with {lower:.3f} and {upper:.3f} N")
+        problems.append(f"plates push with {lower:.3f} and {upper:.3f} N")
     if report["mean_pressure_kPa"] > MAX_PRESSURE_KPA:
-        found.append(f"plates push with {lower:.4g} and {upper:.4g} N, {report['mean_pressure_kPa']:.4g} kPa")
+        problems.append(f"plates push with {lower:.4g} and {upper:.4g} N, {report['mean_pressure_kPa']:.4g} kPa")
     after = mesh.nodes + result.displacement
     if not np.isfinite(after).all() or result.force_N <= 0:
-        return [*found, f"force {result.force_N}, displacement finite: {np.isfinite(after).all()}"]
+        return [*problems, f"force {result.force_N}, displacement finite: {np.isfinite(after).all()}"]
     skin = after[np.unique(mesh.skin)]
     low, high = result.plate_z
     flat = not (spec.paddle_angle_degrees or spec.spring_paddle or spec.elastic_plates)
@@ -205,17 +205,17 @@ def faults(mesh: TetMesh, spec: CompressionSpec, result: Compression) -> list[st
             skin = after[on_skin[mesh.nodes[on_skin, 0] >= spec.plate_edge_mm]]
         depth = max(float(skin[:, 2].max()) - high, low - float(skin[:, 2].min()))
         if depth > MAX_PENETRATION_MM:
-            found.append(f"a node is {depth:.2e} mm behind a plate")
+            problems.append(f"a node is {depth:.2e} mm behind a plate")
     if (drift := wall_drift(mesh, result)) > MAX_DRIFT_MM:
-        found.append(f"the chest wall drifts and rolls by {drift:.3g} mm")
+        problems.append(f"the chest wall drifts and rolls by {drift:.3g} mm")
     before, now = six_volumes(mesh.nodes, mesh.tets), six_volumes(after, mesh.tets)
     if not (now / before).min() > 0:
-        found.append(f"an element has det F {(now / before).min():.3g}")
+        problems.append(f"an element has det F {(now / before).min():.3g}")
     change = float(now.sum() / before.sum() - 1)
     most = largest_loss(spec, result)
     if not -most < change < 1e-2:
-        found.append(f"volume changed by {change:.4f}, at most {most:.4f} expected")
-    return found
+        problems.append(f"volume changed by {change:.4f}, at most {most:.4f} expected")
+    return problems
 
 
 def missing(chosen: Subject, result: Compression) -> list[str]:

@@ -34,12 +34,12 @@ def shadows(ends: NDArray[np.int32], grid: Grid, geometry: AcquisitionGeometry) 
     padded = np.pad(ends, 1)
     pairs = np.maximum(padded[1:], padded[:-1])
     corners = np.maximum(pairs[:, 1:], pairs[:, :-1])
-    found = []
+    of_views = []
     for view in range(geometry.views):
         origin, row = geometry.detector_frame(view)
         pose = np.stack([geometry.sources[view], origin, row, geometry.column_direction(view), geometry.normal(view)])
-        found.append(Shadow(*map(float, _shadow(corners, np.array(grid.corner), np.array(grid.spacing), pose))))
-    return found
+        of_views.append(Shadow(*map(float, _shadow(corners, np.array(grid.corner), np.array(grid.spacing), pose))))
+    return of_views
 
 
 @numba.njit(cache=True, error_model="numpy")
@@ -74,23 +74,23 @@ def _shadow(
     return y_min, y_max, x_max
 
 
-def beyond_y(found: list[Shadow], geometry: AcquisitionGeometry) -> bool:
+def beyond_y(of_views: list[Shadow], geometry: AcquisitionGeometry) -> bool:
     """Whether shadows reach beyond the detector along the tube travel."""
-    return _y_reach(found) > geometry.detector.ny * geometry.detector.pixel / 2
+    return _y_reach(of_views) > geometry.detector.ny * geometry.detector.pixel / 2
 
 
-def _y_reach(found: list[Shadow]) -> float:
-    return max((max(-s.y_min, s.y_max) for s in found), default=0.0)
+def _y_reach(of_views: list[Shadow]) -> float:
+    return max((max(-s.y_min, s.y_max) for s in of_views), default=0.0)
 
 
-def truncation(found: list[Shadow], geometry: AcquisitionGeometry) -> str:
+def truncation(of_views: list[Shadow], geometry: AcquisitionGeometry) -> str:
     """Where shadows reach beyond the detector, in words; empty where they do not."""
     detector = geometry.detector
     half, depth = detector.ny * detector.pixel / 2, detector.nx * detector.pixel
-    y_reach = _y_reach(found)
-    x_reach = max((s.x_max for s in found), default=0.0)
+    y_reach = _y_reach(of_views)
+    x_reach = max((s.x_max for s in of_views), default=0.0)
     words = []
-    if beyond_y(found, geometry):
+    if beyond_y(of_views, geometry):
         words.append(
             f"along the tube travel to {y_reach:.1f} mm from the middle, the detector to {half:.1f} mm "
             f"(pixels_y {detector.ny} x pixel_mm {detector.pixel:g} / 2; "

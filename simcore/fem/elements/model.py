@@ -48,17 +48,17 @@ def _upper_half(tets: Array, node_count: int) -> tuple[Array, Array, Array]:
             room[tets[e, a] + 1] += 4 - a
     for row in range(node_count):
         room[row + 1] += room[row]
-    found, count = np.empty(room[-1], np.int32), np.zeros(node_count, np.int64)
+    others, count = np.empty(room[-1], np.int32), np.zeros(node_count, np.int64)
     for e in range(tets.shape[0]):
         for a in range(4):
             row = tets[e, a]
             for b in range(a, 4):
                 end = room[row] + count[row]
                 k = room[row]
-                while k < end and found[k] != tets[e, b]:
+                while k < end and others[k] != tets[e, b]:
                     k += 1
                 if k == end:
-                    found[k] = tets[e, b]
+                    others[k] = tets[e, b]
                     count[row] += 1
     row_start = np.zeros(node_count + 1, np.int32)
     for row in range(node_count):
@@ -67,10 +67,10 @@ def _upper_half(tets: Array, node_count: int) -> tuple[Array, Array, Array]:
     for row in range(node_count):
         for k in range(count[row]):
             place = row_start[row] + k
-            while place > row_start[row] and column[place - 1] > found[room[row] + k]:
+            while place > row_start[row] and column[place - 1] > others[room[row] + k]:
                 column[place] = column[place - 1]
                 place -= 1
-            column[place] = found[room[row] + k]
+            column[place] = others[room[row] + k]
     block_of = np.empty((tets.shape[0], 10), np.int32)
     for e in range(tets.shape[0]):
         pair = 0

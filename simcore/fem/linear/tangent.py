@@ -79,7 +79,7 @@ class Tangent:
 
         tolerance: on the preconditioned residual, relative to its first value.
         Where A is not positive along a direction it ends with what it has by then. Where the limit of iterations is
-        reached it starts again from there with the true residual, as long as that gets smaller.
+        reached it starts again from there with the true residual, twice at most and as long as that halves.
         """
         preconditioner = empty(len(rhs), 4, 4)
         operator = self.operator
@@ -94,7 +94,7 @@ class Tangent:
             return v
 
         x, r = np.zeros_like(rhs), in_space(rhs.copy())
-        first = size = _norm(r)
+        first = size = norm(r)
         iterations = 0
         guarded = guard.in_parts(operator.first)
         for _ in range(1 + _RESTARTS):
@@ -109,7 +109,7 @@ class Tangent:
             if ended.converged or not ended.definite:
                 return Solved(x, iterations, ended.definite, ended.converged)
             r = in_space(rhs - self.apply(x)[0])
-            before, size = size, _norm(r)
+            before, size = size, norm(r)
             if not size < 0.5 * before:
                 break
         return Solved(x, iterations, True, False)
@@ -123,8 +123,8 @@ def _wide(x: Floats) -> Singles:
     return wide
 
 
-def _norm(values: Floats) -> float:
-    """Not numpy.linalg.norm: its sum depends on the number of threads."""
+def norm(values: Floats) -> float:
+    """Root of the sum of squares. Not numpy.linalg.norm: its sum depends on the number of threads."""
     return float(np.sqrt((values * values).sum()))
 
 

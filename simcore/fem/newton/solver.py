@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from simcore.fem.elements.geometry import keeps_volume
 from simcore.fem.elements.model import Floats, Model, System
-from simcore.fem.linear.tangent import Guard, Tangent
+from simcore.fem.linear.tangent import Guard, Tangent, norm
 from simcore.fem.plates.constraints import Constraints
 from simcore.fem.plates.contact import FREE, MAX_PULL, Contact, Plates
 from simcore.fem.plates.friction import Friction, Slip
@@ -245,8 +245,8 @@ class Solver:
         self.guard.project(unbalanced)
         scale = max(*contact.forces(force[:, 2]), 0.0)
         if not (contact.status != FREE).any():
-            scale = _norm(force[self.fixed])
-        return _norm(unbalanced) / max(scale, 1e-12)
+            scale = norm(force[self.fixed])
+        return norm(unbalanced) / max(scale, 1e-12)
 
     def _direction(
         self,
@@ -281,8 +281,3 @@ class Solver:
         while length >= SHORTEST_STEP and not keeps_volume(u, du, length, tets, gradients, SMALLEST_VOLUME_STEP):
             length *= 0.6
         return length
-
-
-def _norm(values: Floats) -> float:
-    """Not numpy.linalg.norm: its sum depends on the number of threads."""
-    return float(np.sqrt((values * values).sum()))

@@ -11,6 +11,7 @@ from simcore.core.artifacts import Report, TetMesh
 from simcore.core.errors import SolverError
 from simcore.fem.elements.geometry import volume_ratios
 from simcore.fem.elements.model import Floats
+from simcore.fem.linear.tangent import norm
 from simcore.fem.newton.outcome import remedy_of_unverified
 from simcore.fem.newton.path import Solution
 from simcore.fem.newton.solver import GAP_MM, Solver
@@ -183,7 +184,7 @@ def _residual_without_guard(solver: Solver, force: Floats, constraints: Constrai
         return 0.0  # no guard: relative_residual says it
     rigid = np.stack([np.ones(len(wall)), solver.model.nodes[wall, 2]], axis=1)
     unbalanced[wall, 1] -= rigid @ np.linalg.lstsq(rigid, unbalanced[wall, 1], rcond=None)[0]
-    return float(np.sqrt((unbalanced * unbalanced).sum()))
+    return norm(unbalanced)
 
 
 def _guarded(mesh: TetMesh, force: Floats) -> tuple[float, float]:

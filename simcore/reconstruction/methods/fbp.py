@@ -76,9 +76,10 @@ def check(geometry: AcquisitionGeometry, grid: Grid, in_plane: bool = True) -> N
             f"the slices reach z = {grid.upper[2]:g} mm, the source {lowest:g} mm: lower the thickness or the "
             "angular range, or raise source_to_detector_mm"
         )
-    if in_plane and np.any(np.abs(geometry.sources[:, 0]) > 1e-9):
+    farthest = max(geometry.sources[:, 0], key=abs)
+    if in_plane and abs(farthest) > 1e-9:
         raise GeometryError(
-            f"source at x = {geometry.sources[:, 0].max():g} mm; back-projection needs the tube to turn in the plane "
+            f"source at x = {farthest:g} mm; back-projection needs the tube to turn in the plane "
             "of the chest wall, x = 0 mm; an iterative reconstruction takes any trajectory"
         )
 

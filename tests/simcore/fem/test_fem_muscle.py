@@ -46,13 +46,13 @@ def test_the_sample_phantom_of_victre_gets_the_shape_that_victre_gives_it(
 
 
 def test_muscle_keeps_its_place_and_its_height(mesh: TetMesh, sample: Phantom, pressed: Compression) -> None:
-    held = muscle_nodes(mesh, sample)
-    assert len(held) > 100
-    assert (pressed.displacement[held] == 0).all()
+    muscle = muscle_nodes(mesh, sample)
+    assert len(muscle) > 100
+    assert (pressed.displacement[muscle] == 0).all()
     assert (pressed.displacement[mesh.wall, 0] == 0).all()
     after = mesh.nodes + pressed.displacement
-    assert np.ptp(after[held, 2]) > 80
-    flat = mesh.nodes[:, 0] > mesh.nodes[held, 0].max() + SPEC.plate_edge_mm
+    assert np.ptp(after[muscle, 2]) > 80
+    flat = mesh.nodes[:, 0] > mesh.nodes[muscle, 0].max() + SPEC.plate_edge_mm
     low, high = pressed.plate_z
     assert low - 1e-5 < after[flat, 2].min()
     assert after[flat, 2].max() < high + 1e-5
@@ -62,8 +62,8 @@ def test_muscle_nodes_are_those_of_tetrahedra_of_muscle(mesh: TetMesh, sample: P
     centres = mesh.nodes[mesh.tets].mean(axis=1)
     x, y, z = np.floor((centres - sample.grid.corner) / sample.grid.spacing).astype(int).T
     by_centre = np.unique(mesh.tets[sample.labels[z, y, x] == Tissue.MUSCLE])
-    held = muscle_nodes(mesh, sample)
-    assert len(np.setxor1d(held, by_centre)) < 0.1 * len(held)
+    muscle = muscle_nodes(mesh, sample)
+    assert len(np.setxor1d(muscle, by_centre)) < 0.1 * len(muscle)
 
 
 def test_a_breast_without_muscle_cannot_be_held_by_it(mesh: TetMesh, sample: Phantom) -> None:
