@@ -48,7 +48,7 @@ def _of_warp(report: Report) -> Iterator[str]:
         if counts["merged"]:
             yield f"{counts['merged']} objects of {tissue} touch another one after compression"
         if counts["lost"]:
-            yield f"{counts['lost']} objects of {tissue} have no place after compression; take smaller voxels"
+            yield f"{counts['lost']} objects of {tissue} lay beside the breast and are missing after compression"
     if report.get("holes"):
         yield f"{report['holes']} voxels of the compressed breast are air with tissue on all six sides"
 

@@ -19,7 +19,7 @@ SPEC = presets.get("tiny")
         ("phantom", {"dropped_pieces": 2}, "2 pieces of the file"),
         ("phantom", {"left_out_ml": {"muscle": 12.345}}, "12.3 ml of muscle"),
         ("warp", {"lesion_objects": {"calcification": {"merged": 3, "lost": 0}}}, "3 objects of calcification touch"),
-        ("warp", {"lesion_objects": {"mass": {"merged": 0, "lost": 1}}}, "1 objects of mass have no place"),
+        ("warp", {"lesion_objects": {"mass": {"merged": 0, "lost": 1}}}, "1 objects of mass lay beside the breast"),
         ("warp", {"holes": 5}, "5 voxels of the compressed breast are air"),
         ("projection", {"truncated": True}, "beyond the detector"),
         ("projection", {"min_pixel_value": 25}, "smallest pixel value is 25, whose rounding is 2 % of the signal"),

@@ -13,7 +13,6 @@ from pydicom.uid import BreastTomosynthesisImageStorage
 from simcore.dicom.common import (
     Instance,
     code,
-    date_time,
     dimensions,
     functional_groups,
     item,
@@ -23,7 +22,7 @@ from simcore.dicom.common import (
 )
 from simcore.dicom.display import DISPLAY_BITS, display_window, hung, synthetic_view
 from simcore.dicom.objects.presentation import set_display
-from simcore.dicom.objects.tomosynthesis import describe_tomosynthesis
+from simcore.dicom.objects.tomosynthesis import describe_tomosynthesis, frame_groups
 from simcore.dicom.study import SYNTHETIC_2D, Study, frame_anatomy, source_volume
 from simcore.dicom.values import decimal
 
@@ -64,24 +63,8 @@ def synthetic_2d_image(study: Study) -> Instance:
             SourceImageSequence=items(source_volume(study)),
         ),
     )
-    frame = functional_groups(
-        FrameContent=item(
-            StackID="1",
-            InStackPositionNumber=1,
-            DimensionIndexValues=[1, 1],
-            FrameAcquisitionDateTime=date_time(study.spec),
-            FrameReferenceDateTime=date_time(study.spec),
-            FrameAcquisitionDuration=0.0,
-        ),
-        XRay3DFrameType=item(
-            FrameType=IMAGE_TYPE,
-            PixelPresentation="MONOCHROME",
-            VolumetricProperties="VOLUME",
-            VolumeBasedCalculationTechnique=_TECHNIQUE,
-            ReconstructionIndex=1,
-        ),
-        PlanePosition=item(ImagePositionPatient=study.frames.hung_image_position(volume.grid, laterality)),
-    )
+    position = study.frames.hung_image_position(volume.grid, laterality)
+    frame = frame_groups(study, 0, IMAGE_TYPE, _TECHNIQUE, position)
     dataset.SharedFunctionalGroupsSequence = items(shared)
     dataset.PerFrameFunctionalGroupsSequence = items(frame)
     study.add_private(dataset, "synthetic-2d", grid=volume.grid.to_dict())

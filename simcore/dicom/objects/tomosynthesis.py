@@ -7,7 +7,6 @@ from pydicom.sequence import Sequence
 from pydicom.uid import BreastTomosynthesisImageStorage
 
 from simcore.core.artifacts import Volume
-from simcore.core.grid import Grid
 from simcore.dicom.common import (
     MANUFACTURER,
     MODEL,
@@ -58,7 +57,12 @@ def tomosynthesis_image(study: Study) -> Instance:
         (0x00209057, 0x00209111, "In-Stack Position Number"),
     )
     dataset.SharedFunctionalGroupsSequence = items(_shared_groups(study, volume))
-    dataset.PerFrameFunctionalGroupsSequence = Sequence([_frame_groups(study, volume.grid, k) for k in range(slices)])
+    dataset.PerFrameFunctionalGroupsSequence = Sequence(
+        [
+            frame_groups(study, k, IMAGE_TYPE, "TOMOSYNTHESIS", study.frames.image_position(volume.grid, k))
+            for k in range(slices)
+        ]
+    )
     study.add_private(
         dataset,
         "volume",
@@ -215,7 +219,11 @@ def _shared_groups(study: Study, volume: Volume) -> Dataset:
     )
 
 
-def _frame_groups(study: Study, grid: Grid, k: int) -> Dataset:
+def frame_groups(study: Study, k: int, image_type: list[str], technique: str, position: list[str]) -> Dataset:
+    """Functional groups of frame ``k`` (0-based) of an image in the form of a volume.
+
+    technique: Volume Based Calculation Technique. position: Image Position (Patient).
+    """
     return functional_groups(
         FrameContent=item(
             StackID="1",
@@ -227,11 +235,11 @@ def _frame_groups(study: Study, grid: Grid, k: int) -> Dataset:
         ),
         # Validators do not take this macro from the shared groups.
         XRay3DFrameType=item(
-            FrameType=IMAGE_TYPE,
+            FrameType=image_type,
             PixelPresentation="MONOCHROME",
             VolumetricProperties="VOLUME",
-            VolumeBasedCalculationTechnique="TOMOSYNTHESIS",
+            VolumeBasedCalculationTechnique=technique,
             ReconstructionIndex=1,
         ),
-        PlanePosition=item(ImagePositionPatient=study.frames.image_position(grid, k)),
+        PlanePosition=item(ImagePositionPatient=position),
     )
