@@ -239,14 +239,18 @@ class Solver:
         return slip
 
     def relative_residual(self, force: Floats, constraints: Constraints, contact: Contact) -> float:
-        """Norm of the out-of-balance force over the larger plate force, or over the support force without plates."""
+        """Norm of the out-of-balance force over ``scale``."""
         unbalanced = force.copy()
         constraints.project(unbalanced)
         self.guard.project(unbalanced)
+        return norm(unbalanced) / self.scale(force, contact)
+
+    def scale(self, force: Floats, contact: Contact) -> float:
+        """What residuals are relative to: the larger plate force, or the support force without plates, N."""
         scale = max(*contact.forces(force[:, 2]), 0.0)
         if not (contact.status != FREE).any():
             scale = norm(force[self.fixed])
-        return norm(unbalanced) / max(scale, 1e-12)
+        return max(scale, 1e-12)
 
     def _direction(
         self,

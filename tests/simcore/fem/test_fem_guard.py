@@ -13,6 +13,7 @@ from simcore.core.artifacts import TetMesh
 from simcore.core.errors import SolverError
 from simcore.fem import CompressionSpec, compress
 from simcore.fem.compression import solver_of
+from simcore.fem.laws.neo_hookean import NeoHookean
 from simcore.fem.linear.tangent import MAX_ITERATIONS, Guard, Solved, Tangent
 from simcore.fem.newton.outcome import CompressionFailed
 from simcore.fem.newton.path import Solution, Target, follow
@@ -20,6 +21,7 @@ from simcore.fem.newton.solver import Solver
 from simcore.fem.plates.constraints import Constraints
 from simcore.fem.plates.contact import Contact, Plates
 from simcore.fem.report.report import verify
+from simcore.fem.spec import Gravity
 from simcore.mesh import build
 from simcore.mesh.spec import LatticeMesh
 from simcore.mesh.structured import half_ellipsoid
@@ -139,6 +141,18 @@ def test_a_guard_that_carries_more_than_drift_and_roll_does_not_pass(mesh: TetMe
     assert isinstance(solution.state.plates, Plates)
     with pytest.raises(SolverError, match="takes no more than a force and a moment"):
         verify(wrong, solution, solution.state.plates)
+
+
+def test_a_breast_that_its_wall_alone_holds_is_in_balance() -> None:
+    """Its weight draws it off the plates: there is no plate force that residuals could be relative to."""
+    heavy = CompressionSpec(
+        percent=0.5,
+        gravity=Gravity(direction="+y", density_g_ml=2.0),
+        material=NeoHookean(youngs_modulus_kPa=3.0),
+    )
+    report = compress(half_ellipsoid(LOPSIDED, 7), ONE_TISSUE, heavy).report
+    assert report["contact_nodes"] == {"lower": 0, "upper": 0}
+    assert report["guard_force_N"] < -10.0
 
 
 def test_the_guard_needs_no_force_along_y() -> None:
