@@ -312,10 +312,10 @@ def test_the_pipeline_tells_the_coefficients_it_projects_with() -> None:
 def voxels_by_name(labels: NDArray[np.uint8], truth: list[dict]) -> dict[str, int]:
     """Voxels of each lesion of a volume of its own voxels, which must all be of one lesion."""
     grid = Grid(labels.shape, (1.0, 1.0, 1.0), (0.0, 0.0, 0.0))
-    found = find_lesions(Phantom(labels, grid, truth=tuple(truth)), 0.0, grid)
-    together = np.concatenate([lesion.voxels for lesion in found])
+    lesions = find_lesions(Phantom(labels, grid, truth=tuple(truth)), 0.0, grid)
+    together = np.concatenate([lesion.voxels for lesion in lesions])
     assert len(np.unique(together, axis=0)) == len(together) == np.count_nonzero(labels >= 5)
-    return {lesion.name: len(lesion.voxels) for lesion in found}
+    return {lesion.name: len(lesion.voxels) for lesion in lesions}
 
 
 def test_a_small_mass_beside_a_large_one_takes_none_of_its_voxels() -> None:
@@ -330,6 +330,18 @@ def test_a_small_mass_beside_a_large_one_takes_none_of_its_voxels() -> None:
     touching = labels.copy()
     touching[9:11, 34:36, 9:11] = 5
     assert voxels_by_name(touching, entries) == {"large": 16 * 32 * 16 + 8, "small": 8}
+
+
+def test_voxels_that_touch_by_a_corner_belong_together() -> None:
+    labels = np.zeros((5, 30, 30), np.uint8)
+    labels[2, 2:10, 2:10] = 5
+    labels[2, 10, 10] = 5
+    labels[2, 14:16, 14:16] = 5
+    entries = [
+        {"id": "own", "tissue": "mass", "centre_mm": [6.0, 6.0, 2.5], "size_mm": [8.0, 8.0, 1.0]},
+        {"id": "other", "tissue": "mass", "centre_mm": [15.0, 15.0, 2.5], "size_mm": [30.0, 30.0, 30.0]},
+    ]
+    assert voxels_by_name(labels, entries) == {"own": 65, "other": 4}
 
 
 def test_a_mass_around_its_own_centre_and_one_that_broke_off() -> None:

@@ -107,6 +107,15 @@ def test_neighbours_a_voxel_apart_stay_apart_where_there_is_room() -> None:
     assert out.report["lesion_objects"]["calcification"]["merged"] == 0
 
 
+def test_neighbours_that_the_lookup_leaves_whole_but_joins_are_parted() -> None:
+    """The gap of a voxel is looked up nowhere, and each keeps its volume."""
+    labels = fat()
+    for z, y, x in np.ndindex(2, 5, 6):
+        labels[8 + 5 * z :, 4 + 6 * y :, 4 + 6 * x :][:4, :3, :3] = Tissue.CALCIFICATION
+    out = deform(phantom_of(labels), MESH, squeezed(0.8), WarpSpec())
+    assert len(sizes(out.labels, Tissue.CALCIFICATION)) == 60
+
+
 def test_it_is_told_where_two_had_to_merge() -> None:
     labels = fat()
     labels[::2, ::2, ::2] = Tissue.CALCIFICATION
