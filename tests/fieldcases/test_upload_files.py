@@ -99,7 +99,7 @@ NAMES = {
 
 NO_WHOLE = (
     r"no whole number within 1e-06: save the labels as whole numbers and without a slope, in Python "
-    r"image = nibabel\.load\(FILE\); nibabel\.save"
+    r"image = nibabel\.load\(FILE\); nibabel\.save.*\.astype\('uint16'\)"
 )
 CONTRADICTS = r"NIfTI pixdim says voxels of 2 x 2 x 2 mm, sform 1 x 1 x 1 mm: give .*spacing_mm \(--spacing-mm"
 PAIR = r"one of two files \(\.hdr and \.img\): save them as one \.nii or \.nrrd file"

@@ -23,6 +23,7 @@ from simcore.mesh.spec import LatticeMesh
 from simcore.phantom.upload import registry, tissue_maps
 from simcore.phantom.upload.reading import RawHeader, Reading
 from simcore.phantom.upload.spec import UploadedPhantom
+from simcore.phantom.upload.wall import Ends
 from simcore.presets import get
 from simcore.spec import SimulationSpec
 
@@ -121,6 +122,22 @@ def test_a_breast_the_wrong_way_round_is_refused_with_axes_that_do(axes: tuple[s
         load(axes=axes)
     assert remedy in str(refused.value)
     load(axes=tuple(remedy.rpartition(" ")[2].split(",")))
+
+
+@pytest.mark.parametrize(
+    ("areas", "forward", "backward"),
+    [
+        ((20, 100, 5), True, False),
+        ((19, 100, 5), False, False),
+        ((30, 100, 40), False, True),
+        ((50, 50, 50), True, True),
+    ],
+)
+def test_a_wall_is_a_fifth_of_the_largest_plane_and_no_less_than_the_other_end(
+    areas: tuple[int, int, int], forward: bool, backward: bool
+) -> None:
+    ends = Ends(*areas)
+    assert (ends.is_wall("+"), ends.is_wall("-")) == (forward, backward)
 
 
 def test_a_tissue_map_of_ones_own_and_unknown_values_by_name() -> None:

@@ -74,6 +74,14 @@ def test_the_inner_planes_are_the_plates_and_the_flange_is_cut() -> None:
     assert plates.thickness == 50.0
 
 
+def test_what_is_left_between_the_plates_must_begin_with_a_flat_wall() -> None:
+    labels = compressed()
+    labels[LOWER:UPPER, :, :12] = 0
+    labels[25:30, 20:30, 11] = 1  # the flange above and below would do
+    with pytest.raises(SpecError, match=r"tissue that is kept covers 50 voxels of the first plane across x"):
+        load(labels, compressed=True)
+
+
 @pytest.mark.parametrize("axes", [("-z", "+y", "+x"), ("+z", "-y", "+x")])
 def test_the_plates_are_found_whichever_way_z_leads(axes: tuple[str, str, str]) -> None:
     labels = compressed()

@@ -95,6 +95,22 @@ def test_a_map_without_fat_and_gland_is_refused_and_odd_ones_are_told(store: Sto
     assert any("of the tissue is calcification" in remark for remark in chalk.remarks)
 
 
+def test_a_patch_of_skin_is_skin(store: Store, tmp_path: Path) -> None:
+    labels = breast()
+    labels[:, :, :37][labels[:, :, :37] == 2] = 1  # less than a tenth of the surface is left, all of it outside
+    assert added(store, tmp_path, labels).remarks == ()
+
+
+@pytest.mark.parametrize(("value", "name"), [(2, "skin"), (40, "muscle"), (200, "mass")])
+def test_a_tissue_that_is_nearly_all_is_told(value: int, name: str, store: Store, tmp_path: Path) -> None:
+    labels = breast()
+    labels[(labels == 1) | (labels == 29)] = value
+    labels[20:30, 25:30, 5:10] = 1
+    labels[20:30, 30:35, 5:10] = 29
+    (doubt,) = (remark for remark in added(store, tmp_path, labels).remarks if remark.startswith("doubtful"))
+    assert doubt.endswith(f"of the tissue is {name}")
+
+
 SEGMENTS = "Segment0_ID:=a\nSegment0_Name:=Fatty tissue\nSegment0_LabelValue:=1\nSegment0_Layer:=0\n"
 
 
@@ -191,6 +207,9 @@ def test_more_lesions_than_are_followed_are_refused_when_the_file_is_added(store
 def test_small_pieces_are_left_out_and_told_large_ones_refused(store: Store, tmp_path: Path) -> None:
     labels = np.pad(breast(), ((0, 0), (0, 20), (0, 6)))
     alone = labels.copy()
+    labels[2:4, 3:5, 36:38] = 1  # within its box
+    np.testing.assert_array_equal(load(labels).labels, load(alone).labels)
+    labels[2:4, 3:5, 36:38] = 0
     labels[10:12, 70:73, 40:42] = 1
     upload = added(store, tmp_path, labels)
     assert upload.remarks == ("left out: 1 piece beside the breast, 0.0405 ml in all",)
