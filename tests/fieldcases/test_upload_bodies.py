@@ -41,7 +41,7 @@ REFUSED = {
     "one_slice_z": ("upload-mismatch", "1 voxel along z"),
     "one_slice_z5": ("upload-mismatch", "1 voxel along z"),
     "one_voxel": ("upload-mismatch", "1 voxel along x and 1 voxel along y and 1 voxel along z"),
-    "flipped_x": ("upload-mismatch", "turn x: axes = +z,+y,-x"),
+    "flipped_x": ("upload-mismatch", "turn x, and y with it so that the breast is not mirrored: axes = +z,-y,-x"),
 }
 
 

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from simcore.core.errors import SpecError
-from simcore.phantom.upload.spec import Axes, along
+from simcore.phantom.upload.spec import Axes, along, kept_handed
 
 WHOLE_PLATE = 0.5
 """Planes with at least this part of the voxels of the fullest plane are a plate's."""
@@ -52,7 +52,7 @@ def gap(plates: tuple[Profile, Profile, Profile], body: tuple[Profile, Profile, 
             "axes",
             list(axes),
             f"its compression plates lie across {axes[across][1]}, not across z, along which a breast is compressed: "
-            f"permute the axes, {','.join(turned)}",
+            f"permute the axes, none mirrored: axes = {','.join(kept_handed(turned, axes))}",
         )
     profile = plates[upright]
     full = profile >= WHOLE_PLATE * profile.max()

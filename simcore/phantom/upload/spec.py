@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from typing import Annotated, Literal, Self
 
 from pydantic import AfterValidator, Field, model_validator
@@ -32,6 +33,21 @@ OWN_AXES: Axes = ("+z", "+y", "+x")
 def along(axes: Axes, name: str) -> int:
     """Which axis of an array leads along "x", "y" or "z"."""
     return next(n for n, axis in enumerate(axes) if axis[1] == name)
+
+
+def kept_handed(proposed: Sequence[str], axes: Axes) -> list[str]:
+    """``proposed``, with y turned where it would mirror what ``axes`` make: a left breast stays a left one."""
+    if _handedness(proposed) == _handedness(axes):
+        return list(proposed)
+    return [("-" if axis[0] == "+" else "+") + "y" if axis[1] == "y" else axis for axis in proposed]
+
+
+def _handedness(axes: Sequence[str]) -> int:
+    """1 or -1: whether the axes, each once, are (x, y, z) turned, or turned and mirrored."""
+    order = "".join(axis[1] for axis in axes)
+    odd = order not in ("xyz", "yzx", "zxy")
+    mirrors = odd + sum(axis[0] == "-" for axis in axes)
+    return -1 if mirrors % 2 else 1
 
 
 class UploadedPhantom(Spec):

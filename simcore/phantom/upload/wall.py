@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from simcore.phantom.upload.paddle import refused
-from simcore.phantom.upload.spec import Axes, along
+from simcore.phantom.upload.spec import Axes, along, kept_handed
 
 LEAST_WALL = 0.2
 """Least area of the tissue at the chest wall relative to that of the largest plane across x."""
@@ -51,7 +51,7 @@ def _remedy(ends: tuple[Ends, Ends, Ends], axes: Axes, n: int) -> str:
     other = "-" if axes[n][0] == "+" else "+"
     if ends[n].is_wall(other):
         turned = [f"{other}x" if k == n else axis for k, axis in enumerate(axes)]
-        return f"turn x: axes = {','.join(turned)}"
+        return f"turn x, and y with it so that the breast is not mirrored: axes = {','.join(kept_handed(turned, axes))}"
     # Of the axes with a flat end, the one whose ends differ most.
     flat = [
         (abs(e.first - e.last) / e.largest, k, sign)
@@ -64,7 +64,7 @@ def _remedy(ends: tuple[Ends, Ends, Ends], axes: Axes, n: int) -> str:
     _, k, sign = max(flat)
     permuted = list(axes)
     permuted[n], permuted[k] = axes[k], f"{sign}x"  # type: ignore[call-overload]
-    return f"permute the axes: axes = {','.join(permuted)}"
+    return f"permute the axes, none mirrored: axes = {','.join(kept_handed(permuted, axes))}"
 
 
 def check_kept(areas: NDArray[np.int64], axes: Axes) -> None:

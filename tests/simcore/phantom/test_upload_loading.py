@@ -112,9 +112,12 @@ def test_any_order_and_direction_of_the_axes_gives_the_same_phantom(order: tuple
 @pytest.mark.parametrize(
     ("axes", "remedy"),
     [
-        (("+z", "+y", "-x"), "turn x: axes = +z,+y,+x"),  # the nipple first
-        (("+x", "+y", "+z"), "permute the axes: axes = +z,+y,+x"),  # the thin lower side
-        (("-z", "+x", "-y"), "permute the axes: axes = -z,-y,+x"),
+        (
+            ("+z", "+y", "-x"),
+            "turn x, and y with it so that the breast is not mirrored: axes = +z,-y,+x",
+        ),  # the nipple first
+        (("+x", "+y", "+z"), "permute the axes, none mirrored: axes = +z,-y,+x"),  # the thin lower side
+        (("-z", "+x", "-y"), "permute the axes, none mirrored: axes = -z,+y,+x"),
     ],
 )
 def test_a_breast_the_wrong_way_round_is_refused_with_axes_that_do(axes: tuple[str, str, str], remedy: str) -> None:
