@@ -1,0 +1,1 @@
+"""Tables of the physics, with their sources and licences in SOURCES.md."""
