@@ -14,7 +14,6 @@ import numpy as np
 from simcore.core.errors import GeometryError, ResourceLimitError, SpecError
 from simcore.core.grid import Grid
 from simcore.dicom.limits import MAX_BYTES, pixel_bytes
-from simcore.phantom.upload.spec import UploadedPhantom
 from simcore.projection.acquisition import geometry_of
 from simcore.reconstruction.body import Body
 from simcore.reconstruction.extent import SHADOW_MARGIN_MM, in_region, volume_grid, within
@@ -75,7 +74,7 @@ def predicted_grid(spec: SimulationSpec, extent: Extent, whole: bool = False) ->
 
 def _thickness(spec: SimulationSpec, extent: Extent) -> float:
     """Distance of the plates, mm: that of an uploaded phantom where it is known, else predicted."""
-    known = spec.phantom.thickness_mm if isinstance(spec.phantom, UploadedPhantom) else None
+    known = spec.phantom.thickness_mm
     return extent[2] if known is None else known
 
 

@@ -15,8 +15,8 @@ from simcore.capacity import SHADOW_MARGIN, beyond_plates, check_objects, predic
 from simcore.core.errors import GeometryError, ResourceLimitError, SpecError
 from simcore.core.memory import physical_bytes
 from simcore.core.tissues import Tissue
-from simcore.phantom.upload.spec import UploadedPhantom
-from simcore.phantom.upload.tissue_maps import has_tissue
+from simcore.pipeline.graph import Sizes
+from simcore.pipeline.table import TABLE
 from simcore.projection.acquisition import geometry_of
 from simcore.projection.poses import check_poses
 from simcore.projection.spec import AcquisitionSpec
@@ -52,7 +52,6 @@ BYTES_BASE = 500e6
 BYTES_PER_TETRAHEDRON = 6e3
 # Of a ray on two cores, by the way it is computed; samples at 0.2 mm voxels and steps of 0.45 through 96 mm.
 SECONDS_PER_RAY = {"planes": 1e-8, "turned": 1.3e-7, "one by one": 5e-7, "samples": 1.4e-6}
-MESH_SECONDS_PER_TETRAHEDRON = {"tetwild": 5e-4, "lattice": 2e-5}
 
 
 def compressed_extent(spec: SimulationSpec) -> tuple[float, float, float]:
@@ -97,7 +96,6 @@ def estimate(spec: SimulationSpec) -> Estimate:
     worked = predicted_grid(spec, (cx, cy, cz), whole=True).size if spec.reconstruction.is_kept else volume
     stack = pixels * a.views
     tets = 0.0 if spec.phantom.compressed else 35e3 * (5.5 / spec.mesh.edge_length_mm) ** 3
-    mesh_seconds = MESH_SECONDS_PER_TETRAHEDRON[spec.mesh.kind] * tets
     labels = spec.phantom.voxels_held
     memory = BYTES_BASE + labels + after + BYTES_PER_TETRAHEDRON * tets + 2 * stack + 2 * worked + max(after, 4 * stack)
     rays = spec.physics.rays_per_pixel_edge**2
@@ -109,15 +107,14 @@ def estimate(spec: SimulationSpec) -> Estimate:
         "attenuation": 4 * volume,
     }
     output = 4 * stack + 2 * volume + 0.02 * volume + 5e6 + sum(further.get(e, 0) for e in spec.export.extra_objects)
-    storage = output + 0.05 * (before + after) + 2 * stack + (2 * volume if spec.reconstruction.is_kept else 0)
-    seconds = 2.0 + (before + 2 * after) / 150e6 + mesh_seconds + stack * 8e-8 + worked * a.views * 1e-9 + output / 3e8
-    seconds += pixels * (rays * _view_seconds(spec, height) - a.views * SECONDS_PER_RAY["planes"])
+    sizes = Sizes(before, after, tets, stack, pixels * rays * _view_seconds(spec, height), volume, worked, output)
+    needs = [stage.needs(spec, sizes) for stage in TABLE if stage.inputs(spec) is not None]
     return Estimate(
         voxels=int(before),
         memory_bytes=int(memory),
-        storage_bytes=int(storage),
+        storage_bytes=int(sum(stage.stored_bytes for stage in needs)),
         output_bytes=int(output),
-        seconds=round(seconds, 1),
+        seconds=round(sum(stage.seconds for stage in needs), 1),
         remarks=unused.remarks(spec),
     )
 
@@ -249,13 +246,13 @@ def _check_plates(spec: SimulationSpec) -> None:
     """Whether the plates can stand where they are asked for, and are as large as the breast."""
     p, c = spec.phantom, spec.compression
     upper, lower = p.semi_axes()[2:]
-    if isinstance(p, UploadedPhantom) and p.compressed:
+    if p.kind == "uploaded" and p.compressed:
         height = p.extent_mm[2] if p.extent_mm is not None else 0.0
         if p.thickness_mm is not None and p.thickness_mm < height - p.edge_mm("z"):
             message = f"the tissue is {height:g} mm high; at least that, or none"
             _refuse("phantom.thickness_mm", p.thickness_mm, message)
         return
-    if c.chest_wall == "fixed_muscle" and isinstance(p, UploadedPhantom) and not has_tissue(p.tissues, Tissue.MUSCLE):
+    if c.chest_wall == "fixed_muscle" and Tissue.MUSCLE not in p.possible_tissues():
         message = "no value of phantom.tissues is muscle: a tissue map that has it, or another chest_wall"
         _refuse("compression.chest_wall", c.chest_wall, message)
     if c.thickness_mm is not None:

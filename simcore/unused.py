@@ -12,8 +12,6 @@ from simcore.core.tissues import Tissue
 from simcore.fem.laws.by_tissue import ByTissue
 from simcore.fem.spec import CompressionSpec
 from simcore.phantom.lesions import Mass
-from simcore.phantom.upload.spec import UploadedPhantom
-from simcore.phantom.upload.tissue_maps import has_tissue
 from simcore.reconstruction.spec import FilteredBackprojection, IterativeSpec
 from simcore.spec import SimulationSpec
 
@@ -54,7 +52,7 @@ def _unused(spec: SimulationSpec) -> Iterator[tuple[str, str]]:
 
 def _of_phantom(spec: SimulationSpec) -> Iterator[tuple[str, str]]:
     phantom = spec.phantom
-    if isinstance(phantom, UploadedPhantom):
+    if phantom.kind == "uploaded":
         yield from _named("", spec, ("seed",), "nothing is random about an uploaded phantom")
         if phantom.compressed:
             compressed = "the phantom is compressed already"
@@ -78,21 +76,10 @@ def _of_compression(c: CompressionSpec, compressed: bool) -> Iterator[tuple[str,
 def _of_material(spec: SimulationSpec) -> Iterator[tuple[str, str]]:
     material = spec.compression.material
     if isinstance(material, ByTissue) and not spec.phantom.compressed:
-        for tissue in sorted(set(Tissue) - _tissues(spec)):
+        for tissue in sorted(set(Tissue) - spec.phantom.possible_tissues()):
             name = tissue.name.lower()
             if getattr(material, name, None) is not None:
                 yield f"compression.material.{name}", f"the phantom has no {name}"
-
-
-def _tissues(spec: SimulationSpec) -> set[Tissue]:
-    """What the phantom may hold."""
-    phantom = spec.phantom
-    if isinstance(phantom, UploadedPhantom):
-        return {tissue for tissue in Tissue if has_tissue(phantom.tissues, tissue)}
-    tissues = {Tissue.AIR, Tissue.ADIPOSE, Tissue.GLAND, Tissue.SKIN, Tissue.LIGAMENT}
-    tissues |= {Tissue.MASS if isinstance(lesion, Mass) else Tissue.CALCIFICATION for lesion in phantom.lesions}
-    tissues |= {Tissue.NIPPLE} if phantom.nipple is not None else set()
-    return tissues | ({Tissue.DUCT} if phantom.ducts is not None else set())
 
 
 def _of_reconstruction(spec: SimulationSpec) -> Iterator[tuple[str, str]]:

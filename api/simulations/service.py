@@ -4,10 +4,8 @@ from __future__ import annotations
 
 from api.http.deps import Services
 from api.http.errors import ApiError
-from simcore import estimate
+from simcore import estimate, phantom
 from simcore.estimate import Estimate
-from simcore.phantom.upload import registry
-from simcore.phantom.upload.spec import UploadedPhantom
 from simcore.spec import SimulationSpec
 from worker.contract import Device, Priority, Queue, queue_of
 
@@ -21,6 +19,5 @@ def chosen_queue(served: Services, priority: Priority, device: Device) -> Queue:
 
 
 def check(specification: SimulationSpec, served: Services) -> Estimate:
-    if isinstance(specification.phantom, UploadedPhantom):
-        registry.require(served.store, specification.phantom)
+    phantom.require(specification.phantom, served.store)
     return estimate.check(specification, served.settings.memory_limit)

@@ -10,11 +10,9 @@ from typing import Any
 from api.http.deps import Services
 from api.http.errors import ApiError, shown
 from api.studies.resources import StudyEstimate
-from simcore import estimate
+from simcore import estimate, phantom
 from simcore.core.errors import ResourceLimitError, SpecError
 from simcore.core.store import Store
-from simcore.phantom.upload import registry
-from simcore.phantom.upload.spec import UploadedPhantom
 from simcore.spec import SimulationSpec
 from simcore.study import Case, StudySpec, expand
 from worker.records.studies import NewCase
@@ -98,11 +96,9 @@ class _Phantoms:
 
     def require(self, specification: SimulationSpec) -> None:
         """raises: SpecError where the phantom is not there, or another one than the specification says"""
-        if not isinstance(specification.phantom, UploadedPhantom):
-            return
         text = specification.phantom.model_dump_json()
         if text not in self._known:
-            registry.require(self._store, specification.phantom)
+            phantom.require(specification.phantom, self._store)
             self._known.add(text)
 
 

@@ -3,15 +3,46 @@ reads one that was uploaded."""
 
 from __future__ import annotations
 
+import hashlib
+from dataclasses import replace
 from importlib import import_module
 from typing import IO
 
+import numpy as np
+
 from simcore.core.artifacts import Compression, Phantom
 from simcore.core.progress import Progress, silent
-from simcore.phantom.spec import AnthropomorphicPhantom
+from simcore.core.store import Store, canonical
+from simcore.phantom.spec import AnthropomorphicPhantom, PhantomSpec
+from simcore.phantom.upload import registry
 from simcore.phantom.upload.spec import UploadedPhantom
 
-__all__ = ["generate", "load", "plates"]
+__all__ = ["build", "generate", "load", "plates", "require", "with_outline"]
+
+
+def build(spec: PhantomSpec, seed: int, store: Store, progress: Progress = silent) -> Phantom:
+    """The phantom that a specification asks for: grown, or read from the store.
+
+    raises: as ``generate`` and ``load``, and where the file was never added to the store.
+    """
+    if spec.kind == "uploaded":
+        with registry.open_file(store, spec) as file:
+            return load(spec, file, progress)
+    return generate(spec, seed, progress)
+
+
+def require(spec: PhantomSpec, store: Store) -> None:
+    """raises: SpecError where a file that ``spec`` needs is not in the store, or is another one than it says"""
+    if spec.kind == "uploaded":
+        registry.require(store, spec)
+
+
+def with_outline(phantom: Phantom) -> Phantom:
+    """With the digest of what is breast and what is air in its report: all that most meshes depend on."""
+    outline = hashlib.sha256(canonical(phantom.grid.to_dict()))
+    for layer in phantom.labels:
+        outline.update(np.packbits(layer).tobytes())  # air is 0
+    return replace(phantom, report={**phantom.report, "outline_sha256": outline.hexdigest()})
 
 
 def generate(spec: AnthropomorphicPhantom, seed: int, progress: Progress = silent) -> Phantom:

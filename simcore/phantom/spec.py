@@ -7,7 +7,8 @@ from typing import Annotated, Any, Literal, Self
 from pydantic import BeforeValidator, Field, model_validator
 
 from simcore.core.spec_base import Spec, quantity
-from simcore.phantom.lesions import LesionSpec
+from simcore.core.tissues import Tissue
+from simcore.phantom.lesions import LesionSpec, Mass
 from simcore.phantom.upload.spec import UploadedPhantom
 
 MAX_VOXEL_MM = 5.0
@@ -143,6 +144,24 @@ class AnthropomorphicPhantom(Spec):
     def compressed(self) -> bool:
         """Whether it is already compressed: never."""
         return False
+
+    @property
+    def thickness_mm(self) -> None:
+        """Distance of the plates, where it is known before it is compressed: never."""
+
+    def parameters(self, seed: int) -> dict[str, Any]:
+        """What its labels depend on."""
+        return {"spec": self.model_dump(), "seed": seed}
+
+    def plates(self) -> None:
+        """What its compression depends on, where it is compressed already: nothing."""
+
+    def possible_tissues(self) -> set[Tissue]:
+        """Tissues that it may hold."""
+        tissues = {Tissue.AIR, Tissue.ADIPOSE, Tissue.GLAND, Tissue.SKIN, Tissue.LIGAMENT}
+        tissues |= {Tissue.MASS if isinstance(lesion, Mass) else Tissue.CALCIFICATION for lesion in self.lesions}
+        tissues |= {Tissue.NIPPLE} if self.nipple is not None else set()
+        return tissues | ({Tissue.DUCT} if self.ducts is not None else set())
 
     @property
     def edges_mm(self) -> tuple[float, ...]:

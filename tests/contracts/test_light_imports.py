@@ -9,7 +9,8 @@ HEAVY = ("numba", "pytetwild", "skimage", "llvmlite")
 
 
 @pytest.mark.parametrize(
-    "module", ["simcore.spec", "simcore.presets", "simcore.estimate", "simcore.core.store", "tomosim.cli"]
+    "module",
+    ["simcore.spec", "simcore.presets", "simcore.estimate", "simcore.pipeline", "simcore.core.store", "tomosim.cli"],
 )
 def test_no_heavy_import(module: str):
     code = f"import sys, {module}; print(*(m for m in {HEAVY!r} if m in sys.modules))"

@@ -144,7 +144,7 @@ def complaint(stage: str, reference: Reference | None, now: Facts) -> str:
     if lines := differences(reference.facts, now):
         return (
             f"{stage}: the result has changed, but no version of this stage or one before it. Where that is meant, "
-            f"raise VERSIONS['{stage}'] in simcore/pipeline.py and run {RECORD}; where not, "
+            f"raise the version of '{stage}' in simcore/pipeline/table.py and run {RECORD}; where not, "
             f"python -m bench.same main shows which bytes differ.\n  " + "\n  ".join(lines)
         )
     return ""

@@ -41,7 +41,7 @@ def test_a_changed_result_needs_a_raised_version(store: Store, monkeypatch: pyte
     reference = references.Reference(references.versions_of("projection"), facts)
     assert references.complaint("projection", reference, facts) == ""
     darker = references.Facts(facts.exact, {**facts.means, "pixels": [0.99 * v for v in facts.means["pixels"]]})
-    assert "raise VERSIONS['projection'] in simcore/pipeline.py" in references.complaint(
+    assert "raise the version of 'projection' in simcore/pipeline/table.py" in references.complaint(
         "projection", reference, darker
     )
     lighter = references.Facts({**facts.exact, "pixels: shape": "(5, 1, 1)"}, facts.means)
@@ -60,7 +60,7 @@ def test_a_change_without_a_reason_is_not_recorded(
     stages["projection"].facts.means["pixels"][0] += 1000.0
     references.write("compressed-upload", definition, stages)
     assert not record.record("compressed-upload", store, force=False)
-    assert "raise VERSIONS['projection']" in capsys.readouterr().err
+    assert "raise the version of 'projection'" in capsys.readouterr().err
     assert record.record("compressed-upload", store, force=True)
     assert (tmp_path / "compressed-upload.json").read_bytes() == honest
 

@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from simcore import fem, mesh, pipeline, presets
+from simcore import dicom, fem, mesh, pipeline, presets, preview, reconstruction
 from simcore.core import files
 from simcore.core.errors import SimulationError
 from simcore.core.store import FileRef, Store
@@ -190,7 +190,7 @@ def test_a_failing_stage_keeps_what_was_computed(first, monkeypatch):
         raise SimulationError("no picture today: change nothing")
 
     forget(first.store, {"reconstruction"})
-    monkeypatch.setattr(pipeline.reconstruction, "reconstruct", fail)
+    monkeypatch.setattr(reconstruction, "reconstruct", fail)
     with pytest.raises(SimulationError, match="no picture"):
         pipeline.run(SPEC, first.store)
     monkeypatch.undo()
@@ -211,7 +211,7 @@ def test_a_volume_that_takes_long_is_kept(first, monkeypatch):
     spec = SPEC.with_(reconstruction=KEPT)
     made = pipeline.run(spec, first.store).manifest
     forget(first.store, {"dicom", "preview"})
-    monkeypatch.setattr(pipeline.reconstruction, "reconstruct", None)
+    monkeypatch.setattr(reconstruction, "reconstruct", None)
     again = pipeline.run(spec, first.store).manifest
     assert [s["name"] for s in again["stages"] if not s["cached"]] == ["dicom", "preview"]
     assert again["files"] == made["files"]
@@ -233,12 +233,12 @@ def test_what_runs_beside_a_failing_stage_is_kept(first, monkeypatch):
     def fail(*arguments, **keywords):
         raise SimulationError("no files today")
 
-    monkeypatch.setattr(pipeline.dicom, "export", fail)
+    monkeypatch.setattr(dicom, "export", fail)
     with pytest.raises(SimulationError, match="no files"):
         pipeline.run(SPEC, first.store)
     monkeypatch.undo()
     assert cached(pipeline.run(SPEC, first.store)) == [s for s in pipeline.STAGES if s != "dicom"]
-    monkeypatch.setattr(pipeline.preview, "write_previews", fail)
+    monkeypatch.setattr(preview, "write_previews", fail)
     forget(first.store, last)
     with pytest.raises(SimulationError, match="no files"):
         pipeline.run(SPEC, first.store)

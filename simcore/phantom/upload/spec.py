@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import Annotated, Literal, Self
+from typing import Annotated, Any, Literal, Self
 
 from pydantic import AfterValidator, Field, model_validator
 
 from simcore.core.spec_base import Spec
-from simcore.phantom.upload.tissue_maps import TissueMap
+from simcore.core.tissues import Tissue
+from simcore.phantom.upload.tissue_maps import TissueMap, has_tissue
 
 Axis = Literal["+x", "-x", "+y", "-y", "+z", "-z"]
 Count = Annotated[int, Field(ge=1, le=20_000)]
@@ -105,6 +106,18 @@ class UploadedPhantom(Spec):
     @classmethod
     def example(cls) -> UploadedPhantom:
         return cls(sha256=64 * "0", shape=(300, 400, 350), spacing_mm=(0.4, 0.4, 0.4))
+
+    def parameters(self, seed: int) -> dict[str, Any]:
+        """What its labels depend on: not on the seed."""
+        return {"spec": self.model_dump(exclude={"force_N", "extent_mm"})}
+
+    def plates(self) -> dict[str, Any] | None:
+        """What its compression depends on, where it is compressed already."""
+        return {"thickness_mm": self.thickness_mm, "force_N": self.force_N} if self.compressed else None
+
+    def possible_tissues(self) -> set[Tissue]:
+        """Tissues that it may hold."""
+        return {tissue for tissue in Tissue if has_tissue(self.tissues, tissue)}
 
     @property
     def voxels(self) -> int:

@@ -1,0 +1,102 @@
+"""The stages of a case. A new one is a row here; what else is known of stages is read from these rows."""
+
+from __future__ import annotations
+
+from simcore.pipeline import codecs, compute, inputs, needs
+from simcore.pipeline.graph import Stage
+
+TABLE = (
+    Stage(
+        "phantom",
+        version=3,
+        inputs=inputs.none,
+        parameters=lambda case: case.spec.phantom.parameters(case.spec.seed),
+        needs=needs.phantom,
+        compute=compute.phantom_of,
+        codec=codecs.phantom,
+        results=("volume_ml", "glandularity", "compartments", "tissue_ml"),
+    ),
+    Stage(
+        "mesh",
+        version=1,
+        inputs=inputs.of_mesh,
+        parameters=lambda case: case.spec.mesh.parameters(),
+        needs=needs.mesh,
+        compute=compute.mesh_of,
+        codec=codecs.mesh,
+        results=("tets", "nodes"),
+    ),
+    Stage(
+        "fem",
+        version=3,
+        inputs=inputs.of_compression,
+        parameters=compute.compression_parameters,
+        needs=needs.fem,
+        compute=compute.compression_of,
+        codec=codecs.compression,
+        results=("force_N", "thickness_mm", "uncompressed_thickness_mm", "min_det_F", "volume_change"),
+    ),
+    Stage(
+        "warp",
+        version=3,
+        inputs=inputs.of_warp,
+        parameters=lambda case: case.spec.warp.model_dump(),
+        needs=needs.warp,
+        compute=compute.compressed_phantom_of,
+        codec=codecs.phantom,
+        stands_in="phantom",
+        results=("volume_after_ml", "tissue_before_ml", "tissue_after_ml", "lesion_objects", "beyond_plates_mm"),
+    ),
+    Stage(
+        "projection",
+        version=3,
+        inputs=inputs.of_projection,
+        parameters=compute.projection_parameters,
+        needs=needs.projection,
+        compute=compute.projections_of,
+        codec=codecs.projections,
+        public=("geometry.json",),
+        results=("truncated",),
+    ),
+    Stage(
+        "reconstruction",
+        version=2,
+        inputs=inputs.of_reconstruction,
+        parameters=lambda case: case.spec.reconstruction.model_dump(),
+        needs=needs.reconstruction,
+        compute=compute.volume_of,
+        codec=codecs.volume,
+    ),
+    Stage(
+        "dicom",
+        version=5,
+        inputs=inputs.of_export,
+        parameters=compute.export_parameters,
+        needs=needs.dicom,
+        write=compute.write_study,
+        public=True,
+        results=("left_out", "notes"),
+    ),
+    Stage(
+        "mechanics",
+        version=1,
+        inputs=inputs.of_mechanics,
+        parameters=lambda case: case.spec.compression.material.model_dump(),
+        needs=needs.small,
+        write=compute.write_mechanics,
+        parallel=False,
+        after="reconstruction",
+        public=True,
+    ),
+    Stage(
+        "preview",
+        version=2,
+        inputs=inputs.of_preview,
+        parameters=lambda case: {},
+        needs=needs.small,
+        write=compute.write_previews,
+        parallel=False,
+        public=True,
+    ),
+)
+"""In the order in which clients see them. A stage that runs on the caller's thread waits for those listed before it."""
