@@ -128,6 +128,14 @@ def test_clients_see_the_stages_in_the_order_of_the_table(store: Store) -> None:
     assert list(dict.fromkeys(notes)) == ["first", "last", "beside"]
 
 
+def test_a_stage_on_the_callers_thread_is_told_of_after_those_beside_that_are_listed_before_it(store: Store) -> None:
+    notes: list[str] = []
+    beside = stage("beside", "first", parallel=False, write=write())
+    case = run(store, stage("first"), beside, stage("last", "first"), notes=notes)
+    assert list(dict.fromkeys(notes)) == ["first", "beside", "last"]
+    assert [record.stage.name for record in case.records] == ["first", "beside", "last"]
+
+
 def test_what_was_begun_beside_a_failing_stage_is_kept(store: Store) -> None:
     def fail(case: Case, progress: Any) -> Value:
         raise SimulationError("not today")
