@@ -15,5 +15,5 @@ def serve(host: str | None = None, port: int | None = None, data: Path | None = 
     returns: 0 after an ordered stop, 1 where it could not start or go on.
     raises: SettingsError
     """
-    given: dict[str, Any] = {"host": host, "port": port, "data_folder": data}
-    return embedded.serve(Settings.load(**{name: value for name, value in given.items() if value is not None}))
+    options: dict[str, Any] = {"host": host, "port": port, "data_folder": data}
+    return embedded.serve(Settings.load(**{name: value for name, value in options.items() if value is not None}))

@@ -273,13 +273,13 @@ def _check_plates(spec: SimulationSpec) -> None:
     if c.elastic_plates is not None:
         depth, width, _ = compressed_extent(spec)
         for name, needed in (("depth_mm", depth), ("width_mm", width)):
-            given = getattr(c.elastic_plates, name)
-            if needed > given:
+            size = getattr(c.elastic_plates, name)
+            if needed > size:
                 message = (
                     f"the compressed breast is {needed:.0f} mm there and would reach beyond the plates: at least "
                     f"{math.ceil(needed * ADVICE_MARGIN)}"
                 )
-                _refuse(f"compression.elastic_plates.{name}", given, message)
+                _refuse(f"compression.elastic_plates.{name}", size, message)
 
 
 def _check_reach_x(

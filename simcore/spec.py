@@ -83,14 +83,14 @@ def _members(annotation: Any) -> dict[str, type[Spec]]:
 
 def _item(annotation: Any) -> Any:
     """What a list holds, without what is annotated to it; None where that is not known."""
-    held = get_args(annotation)[0] if get_args(annotation) else None
-    return get_args(held)[0] if get_origin(held) is Annotated else held
+    content = get_args(annotation)[0] if get_args(annotation) else None
+    return get_args(content)[0] if get_origin(content) is Annotated else content
 
 
 def _value(annotation: Any) -> Any:
     """What an object with free keys holds, without what is annotated to it."""
-    held = get_args(annotation)[1]
-    return get_args(held)[0] if get_origin(held) is Annotated else held
+    content = get_args(annotation)[1]
+    return get_args(content)[0] if get_origin(content) is Annotated else content
 
 
 def _walk(model: type[Spec], location: tuple[int | str, ...]) -> tuple[list[str], Any]:
@@ -131,8 +131,8 @@ def spec_error(model: type[Spec], error: ValidationError, what: str = "specifica
         elif item["type"] == "union_tag_not_found":
             kinds = sorted(_members(_walk(model, location)[1]))
             message = f"the field 'kind' is missing; valid kinds: {', '.join(kinds)}"
-        given = item.get("input") if item["type"] not in ("missing", "json_invalid") else None
-        value = given if isinstance(given, str | int | float | bool) else None
+        entry = item.get("input") if item["type"] not in ("missing", "json_invalid") else None
+        value = entry if isinstance(entry, str | int | float | bool) else None
         problems.append({"field": field, "value": value, "message": message})
         if any("." in step or "/" in step for step in path):
             escaped = (step.replace("~", "~0").replace("/", "~1") for step in path)

@@ -328,13 +328,13 @@ def _add_phantom(args: argparse.Namespace) -> None:
     from simcore.phantom.upload import registry, review
     from simcore.phantom.upload.reading import Reading
 
-    asked: dict[str, Any] = {name: getattr(args, name) for name in ("compressed", "confirm_size", "confirm_tissues")}
+    fields: dict[str, Any] = {name: getattr(args, name) for name in ("compressed", "confirm_size", "confirm_tissues")}
     if args.tissue_map is not None:
-        asked["tissues"] = _tissue_map(args.tissue_map)
+        fields["tissues"] = _tissue_map(args.tissue_map)
     if args.header is not None:
-        asked["raw"] = _read_json(args.header, "header")
-    asked |= {name: value for name in ("axes", "spacing_mm") if (value := getattr(args, name)) is not None}
-    upload = registry.add_file(Store(args.data / "store"), args.file, Reading.parse(json.dumps(asked)))
+        fields["raw"] = _read_json(args.header, "header")
+    fields |= {name: value for name in ("axes", "spacing_mm") if (value := getattr(args, name)) is not None}
+    upload = registry.add_file(Store(args.data / "store"), args.file, Reading.parse(json.dumps(fields)))
     print(review.table(upload.contents), file=sys.stderr)
     for remark in upload.remarks:
         print(f"tomosim: {remark}", file=sys.stderr)

@@ -132,12 +132,12 @@ def _deliver(args: argparse.Namespace) -> int:
         print(f"{client.url}{delivery.links['self']}", flush=True)
         if not args.wait:
             return 0
-        told = ""
+        message = ""
         while delivery.state not in FINAL_STATES:
-            if delivery.message not in ("", told):
-                told = delivery.message
+            if delivery.message not in ("", message):
+                message = delivery.message
                 done = f"{delivery.instances_stored} of {delivery.instances_total}"
-                print(f"{done}: {told}", file=sys.stderr, flush=True)
+                print(f"{done}: {message}", file=sys.stderr, flush=True)
             time.sleep(POLL_SECONDS)
             delivery = client.delivery(delivery.id)
     if delivery.state != "succeeded":

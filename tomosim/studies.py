@@ -101,14 +101,14 @@ def _client(args: argparse.Namespace) -> Client:
 def _submit(args: argparse.Namespace) -> int:
     study = _read(args.file)
     with _client(args) as client:
-        made = client.submit_study(study)
-        print(f"{client.url}{made.links['self']}", flush=True)
-        print(f"tomosim: {made.cases} cases queued", file=sys.stderr)
+        submission = client.submit_study(study)
+        print(f"{client.url}{submission.links['self']}", flush=True)
+        print(f"tomosim: {submission.cases} cases queued", file=sys.stderr)
         if not (args.wait or args.out):
             return 0
-        ended = _wait(client, made.id)
+        ended = _wait(client, submission.id)
         if args.out:
-            _fetch(client, made.id, args.out, None)
+            _fetch(client, submission.id, args.out, None)
         return _verdict(ended)
 
 
@@ -163,12 +163,12 @@ def _delete(args: argparse.Namespace) -> None:
 
 
 def _wait(client: Client, identifier: str) -> StudyResource:
-    told = ""
+    last_line = ""
 
     def show(study: StudyResource) -> None:
-        nonlocal told
-        if (line := _counts(study)) != told:
-            told = line
+        nonlocal last_line
+        if (line := _counts(study)) != last_line:
+            last_line = line
             print(line, file=sys.stderr, flush=True)
 
     try:

@@ -50,10 +50,10 @@ def _of_series(served: Services, items: list[Item], series: list[str]) -> list[I
     from worker.delivery.files import read_series
 
     series_of = {item.name: read_series(served.store.path(FileRef(item.sha256, item.size))) for item in items}
-    for wanted in series:
-        if wanted not in series_of.values():
+    for name in series:
+        if name not in series_of.values():
             known = ", ".join(sorted(set(filter(None, series_of.values()))))
-            detail = f"the case has no series {wanted[:80]!r}; it has: {known}"
-            error = {"pointer": f"/series/{series.index(wanted)}", "value": wanted[:80], "detail": detail}
+            detail = f"the case has no series {name[:80]!r}; it has: {known}"
+            error = {"pointer": f"/series/{series.index(name)}", "value": name[:80], "detail": detail}
             raise ApiError(422, "invalid-request", detail, errors=[error])
     return [item for item in items if series_of[item.name] in series]

@@ -143,14 +143,14 @@ def choose_pixels(request: Request, syntax: str, count: int) -> Representation:
         multipart = accepted.multipart or accepted.type in ("*/*", "*")
         if not multipart and count > 1:
             continue
-        wanted = accepted.transfer_syntax
+        transfer_syntax = accepted.transfer_syntax
         if accepted.covers(OCTETS):
-            if wanted in (None, DEFAULT_SYNTAX) or (wanted == "*" and not compressed):
+            if transfer_syntax in (None, DEFAULT_SYNTAX) or (transfer_syntax == "*" and not compressed):
                 return Representation(OCTETS, multipart, stored=not compressed)
-            if wanted in ("*", syntax):
+            if transfer_syntax in ("*", syntax):
                 kind = OCTETS if accepted.type == OCTETS else compressed[0]
                 return Representation(kind, multipart, stored=True)
-        elif accepted.covers(*compressed) and wanted in (None, "*", syntax):
+        elif accepted.covers(*compressed) and transfer_syntax in (None, "*", syntax):
             kind = accepted.type if accepted.type in compressed else compressed[0]
             return Representation(kind, multipart, stored=True)
     kinds = ", ".join(f'{RELATED}; type="{kind}"' for kind in (OCTETS, *compressed[:1]))

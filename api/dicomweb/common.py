@@ -102,8 +102,8 @@ def find(indexing: Indexer, study: str, series: str | None = None, instance: str
     return objects
 
 
-def require_files(served: Services, found: list[Instance]) -> None:
+def require_files(served: Services, instances: list[Instance]) -> None:
     """raises: ApiError 410 where a file is not in the store any more"""
-    for item in found:
+    for item in instances:
         if not served.store.has(item.file):
             raise ApiError(410, "expired", f"{item.name} is not in the store any more: post the case again")

@@ -111,33 +111,33 @@ def _split(keyword: str, key: Key, value: str) -> list[str]:
     return [part.strip() for part in re.split(separators, value)]
 
 
-def _condition(keyword: str, key: Key, wanted: list[str]) -> Condition:
+def _condition(keyword: str, key: Key, parts: list[str]) -> Condition:
     match key.kind:
         case "uid":
-            _require(keyword, wanted, UID, "unique identifiers of digits and dots, separated by commas")
+            _require(keyword, parts, UID, "unique identifiers of digits and dots, separated by commas")
         case "number":
-            _require(keyword, wanted, _NUMBER, "whole numbers")
+            _require(keyword, parts, _NUMBER, "whole numbers")
         case "date":
-            return Condition(keyword, span=_span(keyword, wanted, _DATE, "YYYYMMDD"))
+            return Condition(keyword, span=_span(keyword, parts, _DATE, "YYYYMMDD"))
         case "time":
-            return Condition(keyword, span=_time_span(_span(keyword, wanted, _TIME, "HHMMSS")))
+            return Condition(keyword, span=_time_span(_span(keyword, parts, _TIME, "HHMMSS")))
         case "text":
-            wanted = [re.sub(r"\*+", "*", part) for part in wanted]
-            for part in wanted:
+            parts = [re.sub(r"\*+", "*", part) for part in parts]
+            for part in parts:
                 if part.count("*") > MAX_WILDCARDS:
                     raise bad_query(keyword, part, f"at most {MAX_WILDCARDS} wildcards *")
-    return Condition(keyword, values=tuple(wanted))
+    return Condition(keyword, values=tuple(parts))
 
 
-def _span(keyword: str, wanted: list[str], form: re.Pattern[str], name: str) -> tuple[str | None, str | None]:
+def _span(keyword: str, parts: list[str], form: re.Pattern[str], name: str) -> tuple[str | None, str | None]:
     """One value, or first-last with either end left out."""
     allowed = f"{name}, {name}-{name}, {name}- or -{name}"
-    if len(wanted) != 1:
-        raise bad_query(keyword, "\\".join(wanted), allowed)
-    low, dash, high = (part.strip() for part in wanted[0].partition("-"))
+    if len(parts) != 1:
+        raise bad_query(keyword, "\\".join(parts), allowed)
+    low, dash, high = (part.strip() for part in parts[0].partition("-"))
     ends = [low, high] if dash else [low, low]
     if not any(ends) or any(end and not form.fullmatch(end) for end in ends):
-        raise bad_query(keyword, wanted[0], allowed)
+        raise bad_query(keyword, parts[0], allowed)
     return ends[0] or None, ends[1] or None
 
 

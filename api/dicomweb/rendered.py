@@ -84,9 +84,9 @@ async def rendered_frames(
     """One frame, or several as multipart."""
 
     def work() -> Response:
-        found = one_with_frames(served, indexing, study, series, instance)
-        numbers = frame_numbers(frames, found.pixels.frames)
-        return _pictures(request, found, numbers, parse(request.query_params))
+        source = one_with_frames(served, indexing, study, series, instance)
+        numbers = frame_numbers(frames, source.pixels.frames)
+        return _pictures(request, source, numbers, parse(request.query_params))
 
     return await _in_turn(request, work)
 
@@ -126,9 +126,9 @@ async def frame_thumbnail(
     """A small picture of one frame."""
 
     def work() -> Response:
-        found = one_with_frames(served, indexing, study, series, instance)
-        numbers = frame_numbers(frames, found.pixels.frames)
-        return _pictures(request, found, numbers, _small(request))
+        source = one_with_frames(served, indexing, study, series, instance)
+        numbers = frame_numbers(frames, source.pixels.frames)
+        return _pictures(request, source, numbers, _small(request))
 
     return await _in_turn(request, work)
 
@@ -144,8 +144,8 @@ def _small(request: Request) -> Wish:
     return wish if wish.viewport is not None else replace(wish, viewport=THUMBNAIL)
 
 
-def _thumbnail(request: Request, served: Services, found: list[Instance]) -> Response:
-    with_pixels = [item for item in found if item.pixels is not None]
+def _thumbnail(request: Request, served: Services, instances: list[Instance]) -> Response:
+    with_pixels = [item for item in instances if item.pixels is not None]
     if not with_pixels:
         raise ApiError(404, "no-pixel-data", "nothing here has pixel data")
     volumes = [item for item in with_pixels if item.sop_class == BreastTomosynthesisImageStorage]

@@ -111,12 +111,12 @@ def retrieve_frames(
     indexing: Indexing,
 ) -> Response:
     """Frames by number, separated by commas, the first one is 1."""
-    found = one_with_frames(served, indexing, study, series, instance)
-    numbers = frame_numbers(frames, found.pixels.frames)
-    chosen = choose_pixels(request, found.instance.transfer_syntax, len(numbers))
+    source = one_with_frames(served, indexing, study, series, instance)
+    numbers = frame_numbers(frames, source.pixels.frames)
+    chosen = choose_pixels(request, source.instance.transfer_syntax, len(numbers))
     url = resource_url(request, study, series, instance)
-    parts = [_frame(found, chosen, number, f"{url}/frames/{number}", len(numbers)) for number in numbers]
-    return _pixels(request, found.instance, chosen, parts, frames)
+    parts = [_frame(source, chosen, number, f"{url}/frames/{number}", len(numbers)) for number in numbers]
+    return _pixels(request, source.instance, chosen, parts, frames)
 
 
 @router.head(INSTANCE + "/bulkdata/{where:path}", include_in_schema=False)
@@ -131,23 +131,23 @@ def retrieve_bulk_data(
     indexing: Indexing,
 ) -> Response:
     """The value of one attribute, at the address that the metadata give."""
-    found = find(indexing, study, series, instance)[0]
-    require_files(served, [found])
+    row = find(indexing, study, series, instance)[0]
+    require_files(served, [row])
     url = f"{resource_url(request, study, series, instance)}/bulkdata/{where}"
-    if is_pixel_data(found.pixels, where):
-        return _pixel_data(request, Frames(served.store, found), url)
-    value = bulk_value(served.store, found.file, where.upper()) if len(where) < 200 else None
+    if is_pixel_data(row.pixels, where):
+        return _pixel_data(request, Frames(served.store, row), url)
+    value = bulk_value(served.store, row.file, where.upper()) if len(where) < 200 else None
     if value is None:
         raise ApiError(404, "bulk-data-not-found", f"the instance has no bulk data {where[:MAX_SHOWN]!r}")
     chosen = choose_pixels(request, DEFAULT_SYNTAX, 1)
-    return _pixels(request, found, chosen, [Part.of(OCTETS, value, url)], where)
+    return _pixels(request, row, chosen, [Part.of(OCTETS, value, url)], where)
 
 
 def one_with_frames(served: Services, indexing: Indexer, study: str, series: str, instance: str) -> Frames:
     """The frames of an instance. raises: ApiError 404, 410"""
-    found = find(indexing, study, series, instance)
-    require_files(served, found)
-    return Frames(served.store, found[0])
+    rows = find(indexing, study, series, instance)
+    require_files(served, rows)
+    return Frames(served.store, rows[0])
 
 
 def frame_numbers(text: str, frames: int) -> list[int]:
@@ -170,11 +170,11 @@ def entity_tag(*what: object) -> str:
     return hashlib.sha256("\n".join(map(str, what)).encode()).hexdigest()[:32]
 
 
-def _objects(request: Request, served: Services, found: list[Instance]) -> Response:
-    require_files(served, found)
-    chosen = choose_dicom(request, {item.transfer_syntax for item in found}, len(found))
-    parts = [_object(served, chosen, item) for item in found]
-    tag = entity_tag(chosen, *(item.file.sha256 for item in found))
+def _objects(request: Request, served: Services, instances: list[Instance]) -> Response:
+    require_files(served, instances)
+    chosen = choose_dicom(request, {item.transfer_syntax for item in instances}, len(instances))
+    parts = [_object(served, chosen, item) for item in instances]
+    tag = entity_tag(chosen, *(item.file.sha256 for item in instances))
     if chosen.multipart:
         return multipart_response(request, parts, DICOM, tag)
     return single_response(request, parts[0], tag)
@@ -198,12 +198,12 @@ def _object(served: Services, chosen: Representation, item: Instance) -> Part:
     return Part(f"{DICOM}; transfer-syntax={DEFAULT_SYNTAX}", len(head) + frames.plain_length, chunks)
 
 
-def _metadata(request: Request, served: Services, found: list[Instance]) -> Response:
+def _metadata(request: Request, served: Services, instances: list[Instance]) -> Response:
     kind = choose_json(request)
-    require_files(served, found)
+    require_files(served, instances)
 
     def body() -> Iterator[bytes]:
-        for number, item in enumerate(found):
+        for number, item in enumerate(instances):
             url = resource_url(request, item.study, item.series, item.uid)
             yield (b"," if number else b"[") + metadata_json(served.store, item.file, url)
         yield b"]"

@@ -28,7 +28,7 @@ def parsed(text: bytes, model: type[Model]) -> Model:
     try:
         return model.model_validate_json(text)
     except ValidationError as error:
-        items = [_item(dict(found)) for found in error.errors(include_url=False, include_context=False)]
+        items = [_item(dict(row)) for row in error.errors(include_url=False, include_context=False)]
         detail = "; ".join(f"{item['pointer'] or 'the body'}: {item['detail']}" for item in items)
         raise ApiError(422, "invalid-request", detail, errors=items) from None
 
@@ -45,14 +45,14 @@ def body_named(schema: str) -> dict[str, Any]:
     return {"requestBody": {"required": True, "content": content}}
 
 
-def _item(found: dict[str, Any]) -> dict[str, Any]:
-    pointer = "".join("/" + str(part).replace("~", "~0").replace("/", "~1") for part in found["loc"])
-    value = found.get("input")
+def _item(error: dict[str, Any]) -> dict[str, Any]:
+    pointer = "".join("/" + str(part).replace("~", "~0").replace("/", "~1") for part in error["loc"])
+    value = error.get("input")
     if isinstance(value, str):
         value = value[:MAX_SHOWN]
     elif not isinstance(value, bool | int | None):
         value = None
-    return {"pointer": pointer, "value": value, "detail": found["msg"]}
+    return {"pointer": pointer, "value": value, "detail": error["msg"]}
 
 
 @dataclass(frozen=True)

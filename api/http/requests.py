@@ -33,8 +33,8 @@ class Requests:
         if scope["type"] != "http":
             await self.app(scope, receive, send)
             return
-        given = Headers(scope=scope).get(HEADER, "")
-        identifier = given if _SANE.fullmatch(given) else uuid.uuid4().hex
+        value = Headers(scope=scope).get(HEADER, "")
+        identifier = value if _SANE.fullmatch(value) else uuid.uuid4().hex
         # Not taken back in the end: the server's own lines about this request come later, in the same task.
         logs.add(request=identifier)
         started = time.monotonic()

@@ -38,21 +38,21 @@ def _wanted(request: Request, case: PostedCaseBody) -> list[Json]:
         return []
     entries = parsed(json.dumps({"deliver": case.deliver}).encode(), _Wanted).deliver
     rows = [
-        find_destination(services(request), wanted.destination, f"/deliver/{number}/destination")
-        for number, wanted in enumerate(entries)
+        find_destination(services(request), entry.destination, f"/deliver/{number}/destination")
+        for number, entry in enumerate(entries)
     ]
     return [
-        {"destination": row.id, "name": row.definition.name, "files": wanted.files}
-        for row, wanted in zip(rows, entries, strict=True)
+        {"destination": row.id, "name": row.definition.name, "files": entry.files}
+        for row, entry in zip(rows, entries, strict=True)
     ]
 
 
 WantedDeliveries = Annotated[list[Json], Depends(_wanted)]
 
 
-def require_deliver(caller: Principal, wanted: list[Json]) -> None:
+def require_deliver(caller: Principal, deliveries: list[Json]) -> None:
     """raises: ApiError 403 where something is to be delivered and the key does not allow that"""
-    if wanted and not caller.may("deliver"):
+    if deliveries and not caller.may("deliver"):
         raise ApiError(403, "scope-missing", "'deliver' needs a key with the scope 'deliver'")
 
 

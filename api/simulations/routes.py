@@ -32,7 +32,7 @@ def create(
     caller: Write,
     submitter: Submitting,
     specification: PostedSpecification,
-    wanted: WantedDeliveries,
+    deliveries: WantedDeliveries,
     served: Served,
     making: Making,
     retention: AskedRetention,
@@ -42,7 +42,7 @@ def create(
     device: Annotated[Device, Query(description="kind of worker; gpu where the service has one")] = "cpu",
 ) -> SimulationResource:
     """Takes a case into the queue. ``deliver``, beside the specification, sends its files when it has succeeded."""
-    require_deliver(caller, wanted)
+    require_deliver(caller, deliveries)
     data = specification.model_dump(mode="json")
     queue = chosen_queue(served, priority, device)
     row = making.earlier(served.jobs.get)
@@ -57,7 +57,7 @@ def create(
             queue,
             identifier=making.identifier,
             submitter=submitter,
-            deliver=wanted,
+            deliver=deliveries,
             retention=retention,
         )
         served.send(served.jobs, row)

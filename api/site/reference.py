@@ -45,7 +45,7 @@ def page(description: Json) -> str:
             if operation := operations.get(method):
                 tag = (operation.get("tags") or ["other"])[0]
                 groups.setdefault(tag, []).append(_operation(method, path, operation))
-    body = "\n".join(f"<h2>{escape(tag)}</h2>\n" + "\n".join(found) for tag, found in groups.items())
+    body = "\n".join(f"<h2>{escape(tag)}</h2>\n" + "\n".join(sections) for tag, sections in groups.items())
     return f"""<!doctype html>
 <html lang="en">
 <head>

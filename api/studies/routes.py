@@ -42,7 +42,7 @@ def create(
     caller: Write,
     submitter: Submitting,
     study: PostedStudy,
-    wanted: WantedDeliveries,
+    deliveries: WantedDeliveries,
     served: Served,
     making: Making,
     retention: AskedRetention,
@@ -56,7 +56,7 @@ def create(
 
     ``deliver``, beside the study, sends the files of each case when that has succeeded.
     """
-    require_deliver(caller, wanted)
+    require_deliver(caller, deliveries)
     queue = chosen_queue(served, priority, device)
     row = making.earlier(served.studies.get)
     if row is None:
@@ -73,7 +73,7 @@ def create(
             queue,
             submitter,
             retention,
-            wanted,
+            deliveries,
         )
     background.add_task(_send_first, served, row.id)
     response.headers.update({**location(request, study_path(row.id)), **RETRY_AFTER})

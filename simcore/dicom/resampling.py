@@ -34,21 +34,21 @@ class Lookup:
 
 def nearest(source: Grid, target: Grid) -> Lookup:
     """The source voxel that holds the centre of each target voxel; both grids in one frame."""
-    found = []
+    axes = []
     for axis in "zyx":
         i = "xyz".index(axis)
         count = source.shape[2 - i]
         index = np.floor((target.centres(axis) - source.corner[i]) / source.spacing[i]).astype(np.int64)
-        found.append(np.where((index >= 0) & (index < count), index, -1))
-    return Lookup(*found)
+        axes.append(np.where((index >= 0) & (index < count), index, -1))
+    return Lookup(*axes)
 
 
 def sample(
     phantom: Phantom, lookup: Lookup, step: tuple[int, int, int] = (1, 1, 1), slices: slice | None = None
 ) -> NDArray[np.uint8]:
     """Labels at every ``step``-th (z, y, x) target voxel of some slices (all of them); air (0) outside the phantom."""
-    wanted = lookup.z if slices is None else lookup.z[slices]
-    z, y, x = wanted[:: step[0]], lookup.y[:: step[1]], lookup.x[:: step[2]]
+    rows = lookup.z if slices is None else lookup.z[slices]
+    z, y, x = rows[:: step[0]], lookup.y[:: step[1]], lookup.x[:: step[2]]
     labels = phantom.labels[np.ix_(z, y, x)]
     inside = (z >= 0)[:, None, None] & (y >= 0)[:, None] & (x >= 0)
     return np.where(inside, labels, 0).astype(np.uint8)

@@ -34,8 +34,8 @@ def row_of(typing: Any, like: Any, first: Any, second: Any, third: Any, fourth: 
 
     def generate(context: Any, builder: Any, signature: Any, values: Any) -> Any:
         row = ir.Constant(kind.llvm, ir.Undefined)
-        for lane, (value, given) in enumerate(zip(values[1:], signature.args[1:], strict=True)):
-            number = context.cast(builder, value, given, like.dtype)
+        for lane, (value, source) in enumerate(zip(values[1:], signature.args[1:], strict=True)):
+            number = context.cast(builder, value, source, like.dtype)
             row = builder.insert_element(row, number, ir.Constant(ir.IntType(32), lane))
         return row
 

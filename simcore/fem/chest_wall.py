@@ -22,11 +22,11 @@ _MUSCLE_SHARE = 0.5
 
 @dataclass(frozen=True, eq=False)
 class Support:
-    """fixed: bool (n, 3), degrees of freedom that keep their displacement. held: int64 (h,), nodes held altogether.
+    """fixed: bool (n, 3), degrees of freedom that keep their displacement. anchors: int64 (h,), nodes held altogether.
     guard: against drift and roll of a wall that is free in its plane."""
 
     fixed: NDArray[np.bool_]
-    held: NDArray[np.int64]
+    anchors: NDArray[np.int64]
     guard: Guard
 
     @classmethod
@@ -36,19 +36,19 @@ class Support:
         fixed[mesh.wall, 0] = True
         if spec.chest_wall == "free_in_plane":
             return cls(fixed, mesh.wall[:0], Guard.against_roll(mesh.nodes, mesh.wall))
-        held = mesh.wall if spec.chest_wall == "fixed" else muscle_nodes(mesh, phantom)
-        fixed[held] = True
-        return cls(fixed, held, Guard.none())
+        anchors = mesh.wall if spec.chest_wall == "fixed" else muscle_nodes(mesh, phantom)
+        fixed[anchors] = True
+        return cls(fixed, anchors, Guard.none())
 
     def contact(self, mesh: TetMesh) -> Contact:
         """No node on a plate; those that are held cannot come onto one."""
-        return Contact.none(mesh.skin, len(mesh.nodes)).holding(mesh.wall).without(self.held)
+        return Contact.none(mesh.skin, len(mesh.nodes)).holding(mesh.wall).without(self.anchors)
 
     def plate_edge(self, mesh: TetMesh, width: float) -> PlateEdge | None:
         """The edge of the plates where the breast is held, none where its wall is free. width: mm."""
-        if not len(self.held):
+        if not len(self.anchors):
             return None
-        return PlateEdge.of(mesh.nodes, np.intersect1d(self.held, np.unique(mesh.skin)), width)
+        return PlateEdge.of(mesh.nodes, np.intersect1d(self.anchors, np.unique(mesh.skin)), width)
 
 
 def muscle_nodes(mesh: TetMesh, phantom: Phantom) -> NDArray[np.int64]:

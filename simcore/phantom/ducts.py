@@ -59,8 +59,8 @@ def grow_ducts(
     if spec.ducts is None:
         return NONE
     each = 2**spec.ducts.generations
-    wanted = spec.ducts.trees * each
-    points = gland_points(shape, compartments, texture, _CANDIDATES * wanted, random)
+    count = spec.ducts.trees * each
+    points = gland_points(shape, compartments, texture, _CANDIDATES * count, random)
     if len(points) < spec.ducts.trees:
         raise PhantomError(
             f"ducts.trees = {spec.ducts.trees} find too little gland in a breast of glandularity = "

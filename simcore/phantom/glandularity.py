@@ -129,10 +129,10 @@ def _balance(
     for _ in range(10):
         cells = survey(shape, texture, table, gland_seeds, spec.compartments.ligament_mm, _SLACK)
         points = len(cells.margin)
-        wanted = round(spec.glandularity * points)
+        goal = round(spec.glandularity * points)
         have = int(np.count_nonzero(cells.margin > 0))
-        if gland_seeds == 0 or abs(have - wanted) <= 1e-3 * points:
+        if gland_seeds == 0 or abs(have - goal) <= 1e-3 * points:
             break
-        threshold = float(np.partition(cells.margin, points - wanted)[points - wanted])
+        threshold = float(np.partition(cells.margin, points - goal)[points - goal])
         table[START, :gland_seeds] += np.float32(np.clip(threshold, -_SLACK, _SLACK))
     return cells

@@ -212,11 +212,11 @@ def _interior_points(number: int, mean: float, axes: SemiAxes, border: Layers, r
     edge = 0.15 * np.cbrt(mean)
     inner = max(0.6 * border.inner, border.inner - edge / float(np.mean(axes)))
     back = min(border.retromammary + edge, 0.8 * inner * a)
-    found = np.empty((0, 3))
-    while len(found) < number:
+    rows = np.empty((0, 3))
+    while len(rows) < number:
         points = inner * _ellipsoid_points(4 * number, axes, random)
-        found = np.concatenate([found, points[points[:, 0] > back]])
-    return found[:number]
+        rows = np.concatenate([rows, points[points[:, 0] > back]])
+    return rows[:number]
 
 
 @njit(cache=True, inline="always")  # type: ignore[misc]

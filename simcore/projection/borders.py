@@ -62,10 +62,10 @@ def _count(labels: NDArray[np.uint8], start: NDArray[np.int64]) -> None:
     for k in numba.prange(nz):
         for j in range(ny):
             row = labels[k, j]
-            found = np.int64(row[0] != 0) + np.int64(row[nx - 1] != 0)
+            total = np.int64(row[0] != 0) + np.int64(row[nx - 1] != 0)
             for i in range(1, nx):
-                found += row[i] != row[i - 1]
-            start[k * ny + j + 1] = found
+                total += row[i] != row[i - 1]
+            start[k * ny + j + 1] = total
 
 
 @numba.njit(parallel=True, cache=True)
@@ -96,10 +96,10 @@ def _fill(labels: NDArray[np.uint8], start: NDArray[np.int64], packed: NDArray[n
 @numba.njit(cache=True)
 def _labels_in(packed: NDArray[np.uint32]) -> int:
     """Bit n is set where a border has label n on either side."""
-    found = np.int64(0)
+    bits = np.int64(0)
     for border in packed:
-        found |= 1 << np.int64(border & 15) | 1 << np.int64(border >> 4 & 15)
-    return int(found)
+        bits |= 1 << np.int64(border & 15) | 1 << np.int64(border >> 4 & 15)
+    return int(bits)
 
 
 @numba.njit(parallel=True, cache=True)

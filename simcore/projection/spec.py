@@ -204,8 +204,8 @@ def _of_trajectory(trajectory: Any, isocenter_height: Any) -> dict[str, Any]:
     """Number of views, angular range and central distance of listed views; nothing where they are not well formed."""
     spots = []
     for view in trajectory if isinstance(trajectory, list) else []:
-        given = dict(view) if isinstance(view, dict | ViewSpec) else {}
-        spot = given.get("source_mm")
+        fields = dict(view) if isinstance(view, dict | ViewSpec) else {}
+        spot = fields.get("source_mm")
         if not (isinstance(spot, list) and len(spot) == 3 and all(type(c) in (int, float) for c in spot)):
             return {}
         if spot[2] <= 0:

@@ -105,8 +105,8 @@ def shadow(
     row = np.floor((y - grid.corner[1]) / grid.spacing[1]).astype(np.int64)
     ny, nx = mask.shape
     inside = ((row >= 0) & (row < ny))[:, None] & ((column >= 0) & (column < nx))
-    found = mask[np.clip(row, 0, ny - 1)[:, None], np.clip(column, 0, nx - 1)]
-    return np.asarray(found & inside)
+    values = mask[np.clip(row, 0, ny - 1)[:, None], np.clip(column, 0, nx - 1)]
+    return np.asarray(values & inside)
 
 
 def _checked(manifest: dict[str, Any], views: list[Report], volume: Report) -> dict[str, float | None]:

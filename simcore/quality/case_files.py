@@ -49,10 +49,10 @@ class CaseFiles:
 
         raises: SpecError where their number is not that of the views.
         """
-        found = sorted((self.folder / "projections").glob("*.dcm"))
-        if len(found) != self.geometry.views:
-            raise _unreadable(f"{self.folder} holds {len(found)} projections of {self.geometry.views} views")
-        return found
+        files = sorted((self.folder / "projections").glob("*.dcm"))
+        if len(files) != self.geometry.views:
+            raise _unreadable(f"{self.folder} holds {len(files)} projections of {self.geometry.views} views")
+        return files
 
     def projection(self, view: int) -> tuple[NDArray[np.uint16], float]:
         """Stored values of one view, uint16 (ny, nx), and the value of the open field."""

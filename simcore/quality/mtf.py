@@ -84,8 +84,8 @@ def slanted_edge_mtf(
     frequency, mtf = line_spread_mtf(line, pixel_mm / OVERSAMPLING)
     # Binning averages over one bin, and the difference of neighbours is a derivative times a sinc of one bin.
     mtf = mtf / np.sinc(frequency * pixel_mm / OVERSAMPLING) ** 2
-    wanted = frequency <= 1.0 / pixel_mm
-    return frequency[wanted], mtf[wanted]
+    band = frequency <= 1.0 / pixel_mm
+    return frequency[band], mtf[band]
 
 
 def _edge_line(values: FloatArray) -> tuple[float, float]:

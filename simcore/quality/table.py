@@ -38,10 +38,10 @@ def _volume(volume: Report) -> Iterator[str]:
         if tissue in volume["tissue_ml"]:
             yield f"  {tissue:<14} {volume['tissue_ml'][tissue]:8.1f} ml   mean {mean:+.4f}"
     for name in ("gland_against_adipose", "mass_against_adipose"):
-        if found := volume[name]:
+        if row := volume[name]:
             yield (
-                f"  {name.replace('_', ' ')}: {found['difference_per_mm']:+.4f}, noise {found['noise_per_mm']:.4f}, "
-                f"CNR {_number(found['cnr'], 2)}"
+                f"  {name.replace('_', ' ')}: {row['difference_per_mm']:+.4f}, noise {row['noise_per_mm']:.4f}, "
+                f"CNR {_number(row['cnr'], 2)}"
             )
     skin = volume["skin_line"]
     yield (

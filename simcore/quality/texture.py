@@ -87,10 +87,10 @@ def ring_average(power: FloatArray, pixel_mm: float) -> tuple[FloatArray, FloatA
     frequency = scipy.fft.fftfreq(n, pixel_mm)
     radius = np.hypot(frequency[:, None], frequency)
     ring = np.rint(radius * n * pixel_mm).astype(np.int64)
-    wanted = (ring >= 1) & (ring < n // 2)
-    count = np.bincount(ring[wanted])[1:]
-    mean_frequency = np.bincount(ring[wanted], radius[wanted])[1:] / count
-    return mean_frequency, np.bincount(ring[wanted], power[wanted])[1:] / count
+    inside = (ring >= 1) & (ring < n // 2)
+    count = np.bincount(ring[inside])[1:]
+    mean_frequency = np.bincount(ring[inside], radius[inside])[1:] / count
+    return mean_frequency, np.bincount(ring[inside], power[inside])[1:] / count
 
 
 def power_law_exponent(roi: NDArray[np.generic], pixel_mm: float, band: tuple[float, float] = BAND) -> float:
@@ -120,13 +120,13 @@ def regions_inside(mask: NDArray[np.bool_], size: int) -> list[tuple[slice, slic
     if len(rows) == 0:
         return []
     total = np.pad(np.cumsum(np.cumsum(mask, axis=0, dtype=np.int64), axis=1), ((1, 0), (1, 0)))
-    found = []
+    regions = []
     for top in range(int(rows[0]), int(rows[-1]) + 2 - size, size // 2):
         for left in range(int(columns[0]), int(columns[-1]) + 2 - size, size // 2):
             bottom, right = top + size, left + size
             if total[bottom, right] - total[top, right] - total[bottom, left] + total[top, left] == size * size:
-                found.append((slice(top, bottom), slice(left, right)))
-    return found
+                regions.append((slice(top, bottom), slice(left, right)))
+    return regions
 
 
 def texture(image: NDArray[np.generic], mask: NDArray[np.bool_], pixel_mm: float) -> Texture:

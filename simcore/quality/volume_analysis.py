@@ -118,13 +118,13 @@ class VolumeAnalysis:
         return {name: self.slope * m + self.intercept for name, m in means.items() if m is not None}
 
     def _contrast(self, tissue: Tissue, against: Tissue) -> Report | None:
-        found = self._tissues.contrast(tissue, against)
-        if found is None:
+        contrast = self._tissues.contrast(tissue, against)
+        if contrast is None:
             return None
         scaled = Contrast(
-            self.slope * found.inside + self.intercept,
-            self.slope * found.background + self.intercept,
-            self.slope * found.noise,
+            self.slope * contrast.inside + self.intercept,
+            self.slope * contrast.background + self.intercept,
+            self.slope * contrast.noise,
         )
         return {
             "difference_per_mm": scaled.difference,

@@ -107,8 +107,8 @@ def _steps(axis: Axis, number: int) -> list[_Step]:
             lesions = [lesion.model_dump(mode="json") for lesion in axis.lesions]
             source = {"phantom.lesions": f"{where}/lesions"}
             return [
-                _Step({"phantom.lesions": given}, {axis.name: label}, source)
-                for label, given in zip(PAIR, ([], lesions), strict=True)
+                _Step({"phantom.lesions": objects}, {axis.name: label}, source)
+                for label, objects in zip(PAIR, ([], lesions), strict=True)
             ]
 
 

@@ -83,8 +83,8 @@ def skin_faces(mesh: TetMesh) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     """
     count = len(mesh.nodes)
     faces = np.sort(mesh.tets[:, FACES].reshape(-1, 3), axis=1)
-    found = np.isin(_key(faces, count), _key(np.sort(mesh.skin, axis=1), count))
-    at = np.flatnonzero(found)
+    on_skin = np.isin(_key(faces, count), _key(np.sort(mesh.skin, axis=1), count))
+    at = np.flatnonzero(on_skin)
     if len(at) != len(mesh.skin):
         raise MeshError(f"{len(mesh.skin)} skin faces, but {len(at)} faces of tetrahedra are among them")
     return at // 4, at % 4

@@ -248,7 +248,7 @@ def _census(labels: NDArray[np.uint8]) -> NDArray[np.int64]:
 def count_holes(labels: NDArray[np.uint8]) -> int:
     """Air voxels with tissue on all six sides."""
     nz, ny, nx = labels.shape
-    found = np.zeros(nz, np.int64)
+    holes = np.zeros(nz, np.int64)
     whole = nx - nx % 8
     for k in numba.prange(1, nz - 1):
         for j in range(1, ny - 1):
@@ -257,18 +257,18 @@ def count_holes(labels: NDArray[np.uint8]) -> int:
                 word = word_at(row, first)
                 # All air, or no byte of it: most rows have nothing in between.
                 if word != 0 and (word - EACH_BYTE) & ~word & (EACH_BYTE << np.uint64(7)):
-                    found[k] += _holes(labels, k, j, max(first, 1), min(first + 8, nx - 1))
-            found[k] += _holes(labels, k, j, max(whole, 1), nx - 1)
-    return int(found.sum())
+                    holes[k] += _holes(labels, k, j, max(first, 1), min(first + 8, nx - 1))
+            holes[k] += _holes(labels, k, j, max(whole, 1), nx - 1)
+    return int(holes.sum())
 
 
 @numba.njit(cache=True)
 def _holes(labels: NDArray[np.uint8], k: int, j: int, first: int, stop: int) -> int:
     """Holes of one voxel among the voxels first..stop - 1 of an inner row, none at its ends."""
-    found = 0
+    count = 0
     for i in range(first, stop):
         if labels[k, j, i] == 0:
             along_x = labels[k, j, i - 1] != 0 and labels[k, j, i + 1] != 0
             along_y = labels[k, j - 1, i] != 0 and labels[k, j + 1, i] != 0
-            found += along_x and along_y and labels[k - 1, j, i] != 0 and labels[k + 1, j, i] != 0
-    return found
+            count += along_x and along_y and labels[k - 1, j, i] != 0 and labels[k + 1, j, i] != 0
+    return count

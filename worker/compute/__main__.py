@@ -71,11 +71,11 @@ class Reporter:
     def __call__(self, stage: str, fraction: float, message: str, *, cached: bool = False) -> None:
         if stage not in self._stages:
             self._stages = [*self._stages, stage]
-        last_stage, told = self._last
+        last_stage, last_time = self._last
         now = time.monotonic()
         if stage != last_stage:
             self._began = now
-        if stage == last_stage and fraction < 1 and now - told < MIN_INTERVAL_SECONDS:
+        if stage == last_stage and fraction < 1 and now - last_time < MIN_INTERVAL_SECONDS:
             return
         self._last = (stage, now)
         logs.add(stage=stage)

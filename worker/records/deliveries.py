@@ -90,12 +90,12 @@ class Deliveries(Leases[Delivery]):
         self._record(connection, identifier, 1, EVENT_STATE, {"state": "queued"})
         return self._one(connection, identifier)
 
-    def insert_automatic(self, connection: sa.Connection, simulation_id: str, wanted: Json, manifest: Json) -> None:
+    def insert_automatic(self, connection: sa.Connection, simulation_id: str, order: Json, manifest: Json) -> None:
         """The delivery that was asked for with a simulation, in the transaction in which that succeeds."""
-        items = items_of(simulation_id, manifest, wanted.get("files", ()))
-        request = Request(wanted["destination"], items, simulation_id=simulation_id, automatic=True)
+        items = items_of(simulation_id, manifest, order.get("files", ()))
+        request = Request(order["destination"], items, simulation_id=simulation_id, automatic=True)
         # Where the destination was removed meanwhile, the delivery fails and says so.
-        self._insert(connection, request, wanted["name"], uuid.uuid4().hex)
+        self._insert(connection, request, order["name"], uuid.uuid4().hex)
 
     def page(
         self,

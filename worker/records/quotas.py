@@ -72,11 +72,11 @@ def _count(connection: sa.Connection, condition: sa.ColumnElement[bool]) -> int:
     return connection.scalar(sa.select(sa.func.count()).select_from(simulations).where(condition)) or 0
 
 
-def _check(found: int, cases: int, limit: int, when: str, retry_after: int) -> None:
-    if found + cases <= limit:
+def _check(count: int, cases: int, limit: int, when: str, retry_after: int) -> None:
+    if count + cases <= limit:
         return
     never = cases > limit
     raise QuotaError(
-        f"this API key may have {limit} cases {when} and has {found}; {cases} more were asked for",
+        f"this API key may have {limit} cases {when} and has {count}; {cases} more were asked for",
         None if never else retry_after,
     )

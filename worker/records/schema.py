@@ -143,11 +143,11 @@ def _revision(connection: sa.Connection) -> str | None:
     return MigrationContext.configure(connection).get_current_revision()
 
 
-def _refuse_newer(found: str | None) -> None:
+def _refuse_newer(revision: str | None) -> None:
     known = {script.revision for script in ScriptDirectory.from_config(_config()).walk_revisions()}
-    if found is not None and found not in known:
+    if revision is not None and revision not in known:
         raise StoreError(
-            f"the database has revision {found}, which this program does not know (it knows {newest()}): a newer "
+            f"the database has revision {revision}, which this program does not know (it knows {newest()}): a newer "
             "tomosim made it; use that one, or restore the backup from before",
             code="database-version",
         )

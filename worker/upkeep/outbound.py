@@ -130,11 +130,11 @@ async def lookup(host: str, port: int) -> list[Address]:
 async def resolve(url: httpx.URL, private_hosts: Collection[str] = ()) -> list[Address]:
     """The addresses to connect to. raises: RefusedAddressError where any of them is not allowed; OSError"""
     # The name as it stands in the certificate: other ways to write it could be looked up differently.
-    found = await lookup(url.raw_host.decode("ascii"), url.port or (443 if url.scheme == "https" else 80))
+    addresses = await lookup(url.raw_host.decode("ascii"), url.port or (443 if url.scheme == "https" else 80))
     if url.host not in private_hosts:
-        for address in found:
+        for address in addresses:
             _require_public(url.host, address)
-    return found[:MAX_ADDRESSES]
+    return addresses[:MAX_ADDRESSES]
 
 
 async def post(text: str, content: bytes, headers: Mapping[str, str], private_hosts: Collection[str] = ()) -> Answer:

@@ -63,12 +63,12 @@ class Membrane:
         count = len(nodes)
         row = np.repeat(np.arange(count), np.diff(row_start))
         keys = row * count + column
-        wanted = np.stack([triangles[:, a] * count + triangles[:, b] for a, b in _PAIRS], axis=1)
+        pairs = np.stack([triangles[:, a] * count + triangles[:, b] for a, b in _PAIRS], axis=1)
         return cls(
             triangles=triangles,
             gradients=gradients,
             areas=(0.5 * length * y)[:, 0],
-            block_of=np.searchsorted(keys, wanted).astype(np.int32),
+            block_of=np.searchsorted(keys, pairs).astype(np.int32),
             tension=tension,
         )
 

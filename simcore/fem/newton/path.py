@@ -197,9 +197,9 @@ class _Path:
         return float(principal_stretches(state.displacement, model.tets, model.gradients).min())
 
     def _failed(self, code: str, **facts: float) -> CompressionFailed:
-        wanted = f"{self.target.percent:g} %" if self.target.force is None else f"{self.target.force:g} N"
+        goal = f"{self.target.percent:g} %" if self.target.force is None else f"{self.target.force:g} N"
         return CompressionFailed(
-            f"compression to {wanted} failed beyond {self.reached:.3g} % ({self.force:.3g} N): "
+            f"compression to {goal} failed beyond {self.reached:.3g} % ({self.force:.3g} N): "
             + message(code, self.target.spec, **facts),
             code=code,
             percent=self.reached,

@@ -142,8 +142,8 @@ class Solver:
         for iteration in range(MAX_NEWTON):
             if not model.assemble(u, p, system) > 0:
                 raise StepFailed("inverted-element")
-            wanted, compliance = model.volume_ratio_of_pressure(p)
-            volume_residual = node_volume - model.node_volume * wanted
+            ratio, compliance = model.volume_ratio_of_pressure(p)
+            volume_residual = node_volume - model.node_volume * ratio
             points = model.nodes + u
             old_status = contact.status
             contact = contact.updated(points, force, plates, may_release=iteration > 0)

@@ -84,13 +84,13 @@ class Contact:
 
     candidates: int64 (c,), nodes that may touch. status: int8 (n,), FREE, UPPER or LOWER.
     releases: int16 (n,), how often each node has left a plate in this load step.
-    held: int64 (w,), nodes whose x the chest wall holds, so that a tilted plate is not all that acts along x.
+    wall: int64 (w,), nodes whose x the chest wall holds, so that a tilted plate is not all that acts along x.
     """
 
     candidates: NDArray[np.int64]
     status: NDArray[np.int8]
     releases: NDArray[np.int16]
-    held: NDArray[np.int64] | None = None
+    wall: NDArray[np.int64] | None = None
 
     @classmethod
     def none(cls, skin: NDArray[np.int64], node_count: int) -> Contact:
@@ -103,7 +103,7 @@ class Contact:
 
     def holding(self, nodes: NDArray[np.int64]) -> Contact:
         """The same with ``nodes`` on the chest wall."""
-        return replace(self, held=nodes)
+        return replace(self, wall=nodes)
 
     def new_load_step(self) -> Contact:
         return replace(self, releases=np.zeros_like(self.releases))
@@ -132,8 +132,8 @@ class Contact:
         if plates.slope != 0.0:
             normal = plates.upper_normal
             upper = -(force @ normal)
-            if self.held is not None:
-                upper[self.held] = -force[self.held, 2] / normal[2]
+            if self.wall is not None:
+                upper[self.wall] = -force[self.wall, 2] / normal[2]
         return np.where(self.status == UPPER, upper, np.where(self.status == LOWER, force[:, 2], 0.0))
 
     def reaction(self, force: Floats, plates: Plates) -> Floats:

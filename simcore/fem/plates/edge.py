@@ -31,15 +31,15 @@ class PlateEdge:
     rim: tuple[float, float]
 
     @classmethod
-    def of(cls, nodes: Floats, held: NDArray[np.int64], width: float) -> PlateEdge:
-        """nodes: (n, 3), undeformed. held: those of the skin that cannot move. width: distance from them, along x where
+    def of(cls, nodes: Floats, wall: NDArray[np.int64], width: float) -> PlateEdge:
+        """nodes: (n, 3), undeformed. wall: those of the skin that cannot move. width: distance from them, along x where
         they lie in a plane, at which the plates are flat, mm."""
-        if (nodes[held, 0] == nodes[held[0], 0]).all():
-            distance = nodes[:, 0] - nodes[held[0], 0]
+        if (nodes[wall, 0] == nodes[wall[0], 0]).all():
+            distance = nodes[:, 0] - nodes[wall[0], 0]
         else:
-            distance = cKDTree(nodes[held]).query(nodes)[0]
+            distance = cKDTree(nodes[wall]).query(nodes)[0]
         share = np.maximum(1 - distance / width, 0.0) ** 2
-        return cls(share, (float(nodes[held, 2].min()), float(nodes[held, 2].max())))
+        return cls(share, (float(nodes[wall, 2].min()), float(nodes[wall, 2].max())))
 
     def on(self, plates: Plates) -> Plates:
         """``plates`` with this edge; none as long as they stand outside the rim."""

@@ -41,7 +41,7 @@ def verify(solver: Solver, solution: Solution, plates: Plates, spec: Compression
     points = model.nodes + state.displacement
     low, high = state.contact.forces(carried[:, 2])
     weight = 0.0 if model.load is None else float(model.load[:, 2].sum())
-    held = float(carried[solver.fixed[:, 2], 2].sum())
+    support = float(carried[solver.fixed[:, 2], 2].sum())
     balance = max(_BALANCE, np.sqrt(len(points)) * solver.tolerance)
     values = [
         ("relative residual", solver.relative_residual(force, constraints, state.contact), solver.tolerance),
@@ -49,7 +49,7 @@ def verify(solver: Solver, solution: Solution, plates: Plates, spec: Compression
         ("pull of a plate on a node, relative", state.contact.relative_pull(carried, plates), MAX_PULL),
         (
             "imbalance of the plates, relative",
-            abs(low - high + held + weight) / max(high, low, 1e-12),
+            abs(low - high + support + weight) / max(high, low, 1e-12),
             balance,
         ),
         ("drift or roll of the chest wall [mm]", solver.guard.drift(state.displacement), _DRIFT_MM),
@@ -83,8 +83,8 @@ def report(mesh: TetMesh, solver: Solver, solution: Solution, plates: Plates) ->
     area = 0.5 * (area_lower + area_upper)
     carried = model.internal_force(state.displacement, state.pressure)
     force = solver.with_friction(state, carried)
-    held = np.flatnonzero(solver.fixed[:, 0])
-    wall = force[held, 0] - state.contact.reaction(carried, plates)[held, 0]
+    wall_nodes = np.flatnonzero(solver.fixed[:, 0])
+    wall = force[wall_nodes, 0] - state.contact.reaction(carried, plates)[wall_nodes, 0]
     drift, roll = _guarded(mesh, force)
     return {
         "percent": last.percent,

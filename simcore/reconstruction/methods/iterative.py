@@ -151,9 +151,9 @@ def _start(stack: ProjectionStack, spec: IterativeSpec, body: Body, grid: Grid, 
     return np.maximum(start, np.float32(0.0), out=start)
 
 
-def _stored(values: FloatArray, grid: Grid, wanted: Grid, spec: IterativeSpec) -> Volume:
+def _stored(values: FloatArray, grid: Grid, target: Grid, spec: IterativeSpec) -> Volume:
     """Quantised on the wanted grid; zero where it reaches beyond ``grid``, whose voxels it shares."""
-    shift = np.rint((np.array(grid.corner) - wanted.corner) / grid.spacing).astype(np.int64)[::-1].copy()
-    data = np.empty(wanted.shape, np.uint16)
+    shift = np.rint((np.array(grid.corner) - target.corner) / grid.spacing).astype(np.int64)[::-1].copy()
+    data = np.empty(target.shape, np.uint16)
     low, high = quantise_slices(values, shift, spec.value_slope, spec.value_intercept, data)
-    return Volume(data, wanted, spec.value_slope, spec.value_intercept, volume_report(wanted, low, high))
+    return Volume(data, target, spec.value_slope, spec.value_intercept, volume_report(target, low, high))

@@ -64,10 +64,10 @@ def _beside(path: Path, name: str) -> Path:
             if (path.parent / name).is_file():
                 return path.parent / name
     known = {entry.name: entry for entry in path.parent.iterdir() if entry.is_file()}
-    for wanted in (base, f"{base}.gz", base.removesuffix(".gz")):
-        if wanted in known:
-            return known[wanted]
-        other_case = [known[n] for n in sorted(known) if n.lower() == wanted.lower()]
+    for candidate in (base, f"{base}.gz", base.removesuffix(".gz")):
+        if candidate in known:
+            return known[candidate]
+        other_case = [known[n] for n in sorted(known) if n.lower() == candidate.lower()]
         if len(other_case) == 1:
             return other_case[0]
     raise _no_voxels(path, name, base)
