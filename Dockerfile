@@ -9,6 +9,7 @@ COPY pyproject.toml README.md LICENSE ./
 COPY simcore simcore
 COPY worker worker
 COPY api api
+COPY tomosim_contract tomosim_contract
 COPY tomosim tomosim
 RUN pip install --no-cache-dir --disable-pip-version-check --no-deps --no-build-isolation .
 

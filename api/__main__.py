@@ -2,12 +2,8 @@
 
 import sys
 
-import uvicorn
-
-from api.app import create_app
+from simcore import missing
 from simcore.core.errors import SimulationError
-from worker import logs
-from worker.settings import Settings
 
 # Streams of events never end by themselves; a server that stops waits for nobody longer than this.
 STOP_SECONDS = 2
@@ -15,6 +11,12 @@ STOP_SECONDS = 2
 
 def main() -> None:
     """Serves until SIGTERM or SIGINT."""
+    import uvicorn
+
+    from api.app import create_app
+    from worker import logs
+    from worker.settings import Settings
+
     settings = Settings.load()
     logs.configure(settings.log_level)
     uvicorn.run(
@@ -32,3 +34,7 @@ try:
     main()
 except SimulationError as error:
     sys.exit(f"tomosim api: {error}")
+except ImportError as error:
+    if (reason := missing.explain(error)) is None:
+        raise
+    sys.exit(f"tomosim api: {reason}")

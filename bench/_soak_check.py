@@ -17,7 +17,7 @@ from bench._soak_service import marked
 from simcore.core.errors import SimulationError
 from simcore.core.store import FileRef, StageRecord, Store, file_digest
 from simcore.spec import SimulationSpec
-from worker.contract import EVENT_STATE, FINAL_STATES
+from tomosim_contract.names import EVENT_STATE, FINAL_STATES
 from worker.records.database import connect, events, simulations
 from worker.settings import Settings
 

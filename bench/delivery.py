@@ -124,8 +124,8 @@ def _ours(files: Path, port: int) -> tuple[float, float]:
 def _deliver(files: Path, port: int) -> None:
     """Delivers once and prints the seconds it took and the peak memory of this process, MB."""
     from simcore.core.store import Store, file_digest
+    from tomosim_contract.destination import Destination
     from worker.delivery.sender import Sender
-    from worker.destination_spec import Destination
     from worker.records import schema
     from worker.records.database import connect
     from worker.records.deliveries import Deliveries

@@ -31,7 +31,7 @@ from simcore import presets
 from simcore.mesh.spec import LatticeMesh
 from simcore.spec import SimulationSpec
 from tomosim.client import Client, ConflictError, Retrying
-from worker.contract import FINAL_STATES
+from tomosim_contract.names import FINAL_STATES
 
 ACQUISITIONS = (3, 4, 5, 6, 7)
 """Views of the acquisitions of one breast: stages before the projection are shared."""

@@ -8,12 +8,12 @@ from typing import NoReturn
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import BaseModel, Field
 
 from simcore import unused
 from simcore.capacity import SHADOW_MARGIN, beyond_plates, check_objects, predicted_grid
 from simcore.core.errors import GeometryError, ResourceLimitError, SpecError
 from simcore.core.memory import physical_bytes
+from simcore.core.needs import Estimate
 from simcore.core.tissues import Tissue
 from simcore.pipeline.graph import Sizes
 from simcore.pipeline.table import TABLE
@@ -21,18 +21,6 @@ from simcore.projection.acquisition import geometry_of
 from simcore.projection.poses import check_poses
 from simcore.projection.spec import AcquisitionSpec
 from simcore.spec import SimulationSpec
-
-
-class Estimate(BaseModel):
-    """Needs of one case whose breast is not in the store yet."""
-
-    voxels: int = Field(description="voxels of the uncompressed phantom [1]")
-    memory_bytes: int = Field(description="largest resident memory of the compute process [byte]")
-    storage_bytes: int = Field(description="room in the store, intermediate results included [byte]")
-    output_bytes: int = Field(description="size of the files a client gets [byte]")
-    seconds: float = Field(description="time on two cores, mesh included [s]")
-    remarks: list[str] = Field(default_factory=list, description="settings that are not used, and why")
-
 
 # How much deeper (x) and wider (y) a breast gets between the plates, against the compressed fraction of its thickness:
 # the solver's own results for the default outline and material, which hold for every volume. docs/stages.md.

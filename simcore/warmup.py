@@ -18,7 +18,7 @@ from pathlib import Path
 
 import numpy as np
 
-from simcore import dicom, fem, phantom, presets, preview, projection, reconstruction, warp
+from simcore import children, dicom, fem, phantom, presets, preview, projection, reconstruction, warp
 from simcore.core.artifacts import Compression, Phantom, ProjectionStack, Volume
 from simcore.core.errors import SimulationError
 from simcore.core.grid import Grid
@@ -63,9 +63,8 @@ def compile_all(processes: int, tell: Callable[[str, float], None], names: Seque
 
 def _in_a_process(part: str) -> None:
     # One thread: the parts have the cores already.
-    environment = {**os.environ, "NUMBA_NUM_THREADS": "1", "OMP_NUM_THREADS": "1"}
-    command = [sys.executable, "-m", "simcore.warmup", part]
-    ended = subprocess.run(command, env=environment, capture_output=True, text=True)
+    environment = children.environment(NUMBA_NUM_THREADS="1", OMP_NUM_THREADS="1")
+    ended = subprocess.run(children.command("simcore.warmup", part), env=environment, capture_output=True, text=True)
     if ended.returncode:
         raise SimulationError(f"the kernels of {part} could not be compiled: {ended.stderr.strip()[-2000:]}")
 

@@ -1,7 +1,18 @@
-"""``python -m tomosim``"""
+"""``python -m tomosim``, and the command ``tomosim``."""
 
 import sys
 
-from tomosim.cli import main
+from tomosim import own
 
-sys.exit(main())
+
+def main() -> int:
+    """Runs one command; returns its exit code."""
+    own.leave_out_current_folder()
+    own.take_own()
+    from tomosim.cli import main as run
+
+    return run()
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -15,7 +15,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from simcore import __version__
+from simcore import __version__, missing
 from simcore.core.errors import ExportError, SimulationError, SpecError
 from simcore.phantom.upload.tissue_maps import BUILT_IN
 from simcore.spec import SimulationSpec
@@ -33,6 +33,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except SimulationError as error:
         print(f"tomosim: {error}", file=sys.stderr)
         return EXIT_CODES[error.kind]
+    except ImportError as error:
+        if (reason := missing.explain(error)) is None:
+            raise
+        print(f"tomosim: {reason}", file=sys.stderr)
+        return EXIT_CODES["user"]
     except BrokenPipeError:  # the reader of a pipe is gone: `tomosim presets | head`
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 0

@@ -15,7 +15,7 @@ from pathlib import Path
 
 import httpx
 
-from simcore import presets
+from simcore import children, presets
 from simcore.core.errors import SimulationError
 from tomosim.client import Client, ServiceError
 from tomosim.console import StageDisplay
@@ -31,8 +31,8 @@ def main() -> int:
     parser.add_argument("--preset", default="paper-cup-c-20")
     args = parser.parse_args()
     url = f"http://127.0.0.1:{args.port}"
-    command = [sys.executable, "-m", "tomosim", "serve", "--data", str(args.data), "--port", str(args.port)]
-    service = subprocess.Popen(command, start_new_session=True)
+    command = children.command("tomosim", "serve", "--data", str(args.data), "--port", str(args.port))
+    service = subprocess.Popen(command, env=children.environment(), start_new_session=True)
     try:
         _wait_until_ready(service, url)
         case_id = _run_case(url, args.preset, args.out)

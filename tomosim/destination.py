@@ -12,8 +12,8 @@ from pydantic import ValidationError
 
 from simcore.core.errors import SimulationError
 from simcore.spec import spec_error
-from worker.contract import FINAL_STATES
-from worker.destination_spec import Destination
+from tomosim_contract.destination import Destination
+from tomosim_contract.names import FINAL_STATES
 
 if TYPE_CHECKING:
     from tomosim.client import Client

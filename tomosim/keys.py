@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from simcore.core.errors import SimulationError
-from worker.contract import SCOPES
+from tomosim_contract.names import SCOPES
 
 if TYPE_CHECKING:
     from worker.records.keys import Key, Keys

@@ -10,11 +10,11 @@ from typing import TYPE_CHECKING, Any
 
 from simcore.core.errors import SpecError
 from simcore.study import StudySpec
-from worker.contract import STATES
+from tomosim_contract.names import STATES
 
 if TYPE_CHECKING:
-    from api.studies.resources import StudyResource
     from tomosim.client import Client
+    from tomosim_contract.studies import StudyResource
 
 KINDS = {"dicom": (".dcm",), "preview": (".png",), "mechanics": (".vtu",)}
 """Kinds of files by the ends of their names."""

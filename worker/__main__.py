@@ -2,10 +2,16 @@
 
 import sys
 
+from simcore import missing
 from simcore.core.errors import SimulationError
-from worker.compute.app import main
 
 try:
+    from worker.compute.app import main
+
     sys.exit(main())
 except SimulationError as error:
     sys.exit(f"tomosim worker: {error}")
+except ImportError as error:
+    if (reason := missing.explain(error)) is None:
+        raise
+    sys.exit(f"tomosim worker: {reason}")

@@ -6,7 +6,7 @@ from typing import Any, Protocol
 
 from celery import Celery
 
-from worker.contract import DEFAULT_QUEUE, TASK_DELIVER, TASK_SIMULATE, Queue
+from tomosim_contract.names import DEFAULT_QUEUE, TASK_DELIVER, TASK_SIMULATE, Queue
 from worker.settings import Settings
 
 CONNECT_SECONDS = 2.0

@@ -16,7 +16,7 @@ from pydantic_settings import BaseSettings, SettingsConfigDict
 from simcore.core.bucket import Location
 from simcore.core.errors import SimulationError, StoreError
 from simcore.core.memory import physical_bytes
-from worker.contract import SIMULATION_QUEUES
+from tomosim_contract.names import SIMULATION_QUEUES
 
 ENV_PREFIX = "TOMOSIM_"
 

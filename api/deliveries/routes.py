@@ -7,15 +7,7 @@ from typing import Annotated, Any
 from fastapi import APIRouter, Depends, Header, Query, Request, Response
 from fastapi.responses import StreamingResponse
 
-from api.deliveries.resources import (
-    DeliveryPage,
-    DeliveryResource,
-    InstancePage,
-    NewDelivery,
-    delivery_path,
-    delivery_resource,
-    instance_resource,
-)
+from api.deliveries.resources import delivery_path, delivery_resource, instance_resource
 from api.deliveries.service import items_of_case, items_of_study
 from api.destinations.service import find_destination
 from api.http import streams
@@ -25,7 +17,8 @@ from api.http.conditions import none_match
 from api.http.deps import RETRY_AFTER, Served, identifier_of, location
 from api.http.idempotency import IdempotentRoute, Making
 from api.http.pages import AskedPage
-from worker.contract import InstanceState, State
+from tomosim_contract.deliveries import DeliveryPage, DeliveryResource, InstancePage, NewDelivery
+from tomosim_contract.names import InstanceState, State
 from worker.records.delivery_tables import Request as DeliveryRequest
 
 SHOWN_INSTANCES = 1000

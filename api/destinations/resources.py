@@ -1,50 +1,11 @@
-"""What clients see of destinations. Imported by clients: no server, no database."""
+"""Documents of destinations, made from their rows."""
 
 from __future__ import annotations
 
-from datetime import datetime
-from typing import TYPE_CHECKING
-
-from pydantic import BaseModel, Field
-
 from api.http.documents import PREFIX, when
-from worker.destination_spec import Destination
-
-if TYPE_CHECKING:
-    from worker.records.destinations import DestinationRow
-
-
-class DestinationResource(Destination):
-    """A destination."""
-
-    id: str
-    revision: int = Field(description="raised with every change")
-    created_at: datetime
-    links: dict[str, str]
-
-
-class DestinationName(BaseModel):
-    """What those may see who may deliver and are no administrators."""
-
-    id: str
-    name: str
-
-
-class DestinationList(BaseModel):
-    """All destinations, by name."""
-
-    items: list[DestinationResource | DestinationName]
-
-
-class EchoResource(BaseModel):
-    """How a destination answered."""
-
-    reachable: bool = Field(description="whether it accepted the association and answered C-ECHO")
-    code: str = Field(description="'ok', or what went wrong: stable, machine-readable")
-    message: str
-    seconds: float
-    accepted: list[str] = Field(description="SOP classes of ours that it accepts")
-    refused: list[str] = Field(description="SOP classes of ours that it refuses: those series will not be stored")
+from tomosim_contract.destination import Destination
+from tomosim_contract.destinations import DestinationResource
+from worker.records.destinations import DestinationRow
 
 
 def destination_path(identifier: str) -> str:

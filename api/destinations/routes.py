@@ -8,14 +8,7 @@ from typing import Annotated, Any
 from fastapi import APIRouter, Depends, Request, Response
 from fastapi.responses import JSONResponse
 
-from api.destinations.resources import (
-    DestinationList,
-    DestinationName,
-    DestinationResource,
-    EchoResource,
-    destination_path,
-    destination_resource,
-)
+from api.destinations.resources import destination_path, destination_resource
 from api.destinations.service import check_host, merge, name_taken
 from api.http.auth import Administer, Deliver
 from api.http.bodies import body_of, content_type, parsed, posted, read_body
@@ -23,7 +16,8 @@ from api.http.conditions import CHANGED, UNCHANGED, IfMatch, IfNoneMatch, none_m
 from api.http.deps import Served, identifier_of, location, services
 from api.http.errors import ApiError
 from api.http.idempotency import IdempotentRoute, Making
-from worker.destination_spec import Destination
+from tomosim_contract.destination import Destination
+from tomosim_contract.destinations import DestinationList, DestinationName, DestinationResource, EchoResource
 from worker.records.destinations import DestinationRow, InUseError, NameTakenError
 
 MERGE_PATCH = "application/merge-patch+json"

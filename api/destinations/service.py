@@ -6,8 +6,8 @@ from typing import Any
 
 from api.http.deps import Services
 from api.http.errors import ApiError
+from tomosim_contract.destination import Destination
 from worker.delivery.addresses import DestinationNotAllowed, require_allowed
-from worker.destination_spec import Destination
 from worker.records.destinations import DestinationRow, NameTakenError
 from worker.records.rows import NotFoundError
 

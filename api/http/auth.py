@@ -19,8 +19,8 @@ from fastapi import Depends, Request
 
 from api.http.deps import Services, services
 from api.http.errors import ApiError
+from tomosim_contract.names import SCOPES, Scope
 from worker import logs
-from worker.contract import SCOPES, Scope
 from worker.records.quotas import Submitter
 from worker.settings import is_loopback
 

@@ -1,24 +1,10 @@
-"""What the documents of every resource have in common. Imported by clients: no server, no database."""
+"""What the documents of every resource have in common."""
 
 from __future__ import annotations
 
 from datetime import UTC, datetime
-from typing import Any, Literal
-
-from pydantic import BaseModel, Field
 
 PREFIX = "/v1"
-
-
-class FailureResource(BaseModel):
-    """Why a case failed."""
-
-    kind: Literal["user", "simulation", "system"] = Field(
-        description="user: change the specification; simulation: the numerics failed; system: retry"
-    )
-    code: str = Field(description="stable, machine-readable")
-    message: str
-    problems: list[dict[str, Any]] = []
 
 
 def when(seconds: float) -> datetime:

@@ -14,7 +14,7 @@ from fastapi.concurrency import run_in_threadpool
 from fastapi.responses import StreamingResponse
 
 from api.http.errors import ApiError
-from worker.contract import EVENT_STATE, FINAL_STATES
+from tomosim_contract.names import EVENT_STATE, FINAL_STATES
 from worker.records.database import AWAY
 from worker.records.leases import Leases
 from worker.records.rows import Event

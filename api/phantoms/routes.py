@@ -11,10 +11,11 @@ from api.http.auth import Read, Write
 from api.http.bodies import content_type
 from api.http.deps import Served, location, services
 from api.http.errors import ApiError
-from api.phantoms.resources import PhantomList, PhantomResource, phantom_path, phantom_resource
+from api.phantoms.resources import phantom_path, phantom_resource
 from api.phantoms.service import check_size, receive
 from simcore.phantom.upload import registry
 from simcore.phantom.upload.reading import Reading
+from tomosim_contract.phantoms import PhantomList, PhantomResource
 
 MEDIA_TYPE = "application/octet-stream"
 

@@ -18,8 +18,9 @@ from api.http import files
 from api.http.auth import Read
 from api.http.deps import Identifier, Served, Services
 from api.http.errors import ApiError
-from api.simulations.resources import ArtifactList, ArtifactResource, simulation_path
+from api.simulations.resources import simulation_path
 from simcore.core.store import FileRef, Store
+from tomosim_contract.simulations import ArtifactList, ArtifactResource
 
 Json = dict[str, Any]
 

@@ -16,11 +16,12 @@ from api.http.errors import ApiError
 from api.http.idempotency import IdempotentRoute, Making
 from api.http.pages import AskedPage
 from api.simulations.automatic import BODY_WITH_DELIVER, WantedDeliveries, require_deliver
-from api.simulations.resources import SimulationPage, SimulationResource, simulation_path, simulation_resource
+from api.simulations.resources import simulation_path, simulation_resource
 from api.simulations.retention import AskedRetention
 from api.simulations.service import check, chosen_queue
-from simcore.estimate import Estimate
-from worker.contract import Device, Priority, State
+from simcore.core.needs import Estimate
+from tomosim_contract.names import Device, Priority, State
+from tomosim_contract.simulations import SimulationPage, SimulationResource
 from worker.records.jobs import Simulation
 from worker.records.rows import StateError
 

@@ -5,9 +5,9 @@ from __future__ import annotations
 from api.http.deps import Services
 from api.http.errors import ApiError
 from simcore import estimate, phantom
-from simcore.estimate import Estimate
+from simcore.core.needs import Estimate
 from simcore.spec import SimulationSpec
-from worker.contract import Device, Priority, Queue, queue_of
+from tomosim_contract.names import Device, Priority, Queue, queue_of
 
 
 def chosen_queue(served: Services, priority: Priority, device: Device) -> Queue:

@@ -10,13 +10,13 @@ from api.http.auth import Read
 from api.http.deps import Served
 from api.http.documents import PREFIX
 from api.http.errors import ApiError
-from api.site.catalog_resources import Limits, Listing, PresetList, PresetResource, ServiceInfo
 from simcore import __version__, presets
 from simcore.core.errors import SpecError
 from simcore.phantom.upload.reading import Reading
 from simcore.spec import SimulationSpec
 from simcore.study import StudySpec
-from worker.contract import QUEUES, STATES
+from tomosim_contract.catalog import Limits, Listing, PresetList, PresetResource, ServiceInfo
+from tomosim_contract.names import QUEUES, STATES
 
 router = APIRouter(tags=["catalog"])
 

@@ -15,7 +15,7 @@ from prometheus_client.exposition import choose_encoder
 
 from api.http.auth import Read
 from api.http.deps import Served, Services
-from worker.contract import QUEUES, STATES
+from tomosim_contract.names import QUEUES, STATES
 from worker.records import counters
 
 log = logging.getLogger(__name__)

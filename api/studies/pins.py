@@ -6,8 +6,10 @@ from fastapi import APIRouter
 
 from api.http.auth import Write
 from api.http.deps import Identifier, Served, StudyIdentifier
-from api.simulations.resources import SimulationResource, simulation_resource
-from api.studies.resources import StudyResource, study_resource
+from api.simulations.resources import simulation_resource
+from api.studies.resources import study_resource
+from tomosim_contract.simulations import SimulationResource
+from tomosim_contract.studies import StudyResource
 
 router = APIRouter(tags=["retention"])
 

@@ -29,8 +29,9 @@ from api.simulations.artifacts import (
     manifest_bytes,
 )
 from api.studies import tables
-from api.studies.resources import CasePage, case_resource, folder_name, study_resource
-from worker.contract import State
+from api.studies.resources import case_resource, folder_name, study_resource
+from tomosim_contract.names import State
+from tomosim_contract.studies import CasePage
 from worker.records.database import AWAY
 from worker.records.retention import ExpiredError
 from worker.records.rows import NotFoundError

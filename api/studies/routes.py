@@ -17,10 +17,12 @@ from api.simulations.automatic import STUDY_WITH_DELIVER, WantedDeliveries, requ
 from api.simulations.retention import AskedRetention
 from api.simulations.service import chosen_queue
 from api.studies import results
-from api.studies.resources import StudyEstimate, StudyPage, StudyResource, study_path, study_resource
+from api.studies.resources import study_path, study_resource
 from api.studies.service import check
-from simcore.study import StudySpec, columns
-from worker.contract import Device, Priority, State
+from simcore.study import StudySpec
+from simcore.study.expansion import columns
+from tomosim_contract.names import Device, Priority, State
+from tomosim_contract.studies import StudyEstimate, StudyPage, StudyResource
 from worker.records.studies import Study
 
 SENT_AT_ONCE = 10

@@ -9,12 +9,13 @@ from typing import Any
 
 from api.http.deps import Services
 from api.http.errors import ApiError, shown
-from api.studies.resources import StudyEstimate
 from simcore import estimate, phantom
 from simcore.core.errors import ResourceLimitError, SpecError
 from simcore.core.store import Store
 from simcore.spec import SimulationSpec
-from simcore.study import Case, StudySpec, expand
+from simcore.study import StudySpec
+from simcore.study.expansion import Case, expand
+from tomosim_contract.studies import StudyEstimate
 from worker.records.studies import NewCase
 
 Json = dict[str, Any]

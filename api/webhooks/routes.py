@@ -14,18 +14,16 @@ from api.http.deps import Identifier, Served, location
 from api.http.errors import ApiError
 from api.http.idempotency import IdempotentRoute, Making
 from api.http.pages import AskedPage
-from api.webhooks.resources import (
+from api.webhooks.resources import message_resource, webhook_path, webhook_resource
+from api.webhooks.service import new_webhook
+from tomosim_contract.webhooks import (
     CreatedWebhook,
     MessagePage,
     MessageResource,
     NewWebhook,
     WebhookList,
     WebhookResource,
-    message_resource,
-    webhook_path,
-    webhook_resource,
 )
-from api.webhooks.service import new_webhook
 from worker.records.rows import NotFoundError, StateError
 
 MAX_WEBHOOKS = 100

@@ -7,7 +7,7 @@ from fastapi import Request
 from api.http.bodies import posted
 from api.http.deps import services
 from api.http.errors import ApiError
-from api.webhooks.resources import NewWebhook
+from tomosim_contract.webhooks import NewWebhook
 from worker.upkeep import outbound
 
 

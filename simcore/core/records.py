@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import hashlib
 import json
 from collections.abc import Callable
 from concurrent.futures import Future, ThreadPoolExecutor
@@ -12,17 +11,8 @@ from pathlib import Path
 from typing import Any
 
 from simcore.core.artifacts import Report
+from simcore.core.canonical import digest
 from simcore.core.hashing import FileRef, Hashing
-
-
-def canonical(data: Any) -> bytes:
-    """JSON with sorted keys and no spaces: the same data gives the same bytes. NaN and infinity are refused."""
-    return json.dumps(data, sort_keys=True, separators=(",", ":"), ensure_ascii=False, allow_nan=False).encode()
-
-
-def digest(data: Any) -> str:
-    """sha256 of the canonical JSON, hexadecimal."""
-    return hashlib.sha256(canonical(data)).hexdigest()
 
 
 @dataclass(frozen=True)

@@ -30,6 +30,8 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
+from simcore.core.canonical import canonical as canonical
+from simcore.core.canonical import digest as digest
 from simcore.core.errors import StoreError
 from simcore.core.hashing import PIECE_BYTES as PIECE_BYTES
 from simcore.core.hashing import FileRef as FileRef
@@ -40,9 +42,7 @@ from simcore.core.records import Begun as Begun
 from simcore.core.records import Commits as Commits
 from simcore.core.records import Compute as Compute
 from simcore.core.records import StageRecord as StageRecord
-from simcore.core.records import canonical as canonical
 from simcore.core.records import completed
-from simcore.core.records import digest as digest
 from simcore.core.records import stage_key as stage_key
 
 MIN_FREE_BYTES = 1 << 30

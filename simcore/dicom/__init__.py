@@ -4,13 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from pathlib import Path
-from typing import BinaryIO
+from typing import TYPE_CHECKING, BinaryIO
 
-from simcore.core.artifacts import Compression, Phantom, ProjectionStack, Volume
 from simcore.core.progress import Progress, silent
 from simcore.dicom.exported import ExportedStudy
 from simcore.dicom.identity import CaseDescription
 from simcore.dicom.spec import ExportSpec
+
+if TYPE_CHECKING:  # whoever reads a specification needs no numerics
+    from simcore.core.artifacts import Compression, Phantom, ProjectionStack, Volume
 
 __all__ = ["CaseDescription", "ExportSpec", "ExportedStudy", "export"]
 

@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import TYPE_CHECKING
 
-from simcore.core.artifacts import Compression, Phantom, TetMesh
 from simcore.core.progress import Progress, silent
 from simcore.fem.laws import MaterialSpec
 from simcore.fem.laws.by_tissue import ByTissue
 from simcore.fem.laws.published import Published
 from simcore.fem.spec import CompressionSpec
+
+if TYPE_CHECKING:  # whoever reads a specification needs no numerics
+    from simcore.core.artifacts import Compression, Phantom, TetMesh
 
 __all__ = ["CompressionSpec", "compress", "reads_tissues", "write_vtu"]
 

@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
-from simcore.core.artifacts import Phantom, TetMesh
+from typing import TYPE_CHECKING
+
 from simcore.core.progress import Progress, silent
 from simcore.mesh.spec import LatticeMesh, MeshSpec, TetwildMesh
+
+if TYPE_CHECKING:  # whoever reads a specification needs no numerics
+    from simcore.core.artifacts import Phantom, TetMesh
 
 __all__ = ["LatticeMesh", "MeshSpec", "TetwildMesh", "build", "reads_tissues"]
 

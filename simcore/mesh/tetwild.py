@@ -23,6 +23,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from simcore import children
 from simcore.core.errors import MeshError, MeshMemoryError
 from simcore.core.progress import Progress, silent
 
@@ -63,8 +64,8 @@ def tetrahedralize(
         )  # fmt: skip
         with (folder / "log").open("wb") as log:
             child = subprocess.Popen(
-                [sys.executable, "-m", "simcore.mesh.tetwild", str(os.getpid())],
-                cwd=folder, env=_environment(), stdin=subprocess.DEVNULL, stdout=log, stderr=log,
+                children.command("simcore.mesh.tetwild", str(os.getpid())),
+                cwd=folder, env=children.environment(), stdin=subprocess.DEVNULL, stdout=log, stderr=log,
             )  # fmt: skip
             code = _wait(child, time_limit_s, progress)
         if code != 0:
@@ -78,13 +79,6 @@ def _background(sizing: SizingField | None) -> dict[str, Any]:
     if sizing is None:
         return {}
     return {"bg_vertices": sizing.points, "bg_tets": sizing.tets, "bg_values": sizing.lengths}
-
-
-def _environment() -> dict[str, str]:
-    """The child finds the same simcore wherever it was imported from."""
-    root = str(Path(__file__).resolve().parents[2])
-    known = os.environ.get("PYTHONPATH")
-    return {**os.environ, "PYTHONPATH": os.pathsep.join([root, known] if known else [root])}
 
 
 def _wait(child: subprocess.Popen[bytes], time_limit_s: float, progress: Progress) -> int | None:

@@ -6,16 +6,15 @@ from __future__ import annotations
 import hashlib
 from dataclasses import replace
 from importlib import import_module
-from typing import IO
+from typing import IO, TYPE_CHECKING
 
-import numpy as np
-
-from simcore.core.artifacts import Compression, Phantom
 from simcore.core.progress import Progress, silent
-from simcore.core.store import Store, canonical
 from simcore.phantom.spec import AnthropomorphicPhantom, PhantomSpec
-from simcore.phantom.upload import registry
 from simcore.phantom.upload.spec import UploadedPhantom
+
+if TYPE_CHECKING:  # whoever reads a specification needs no numerics
+    from simcore.core.artifacts import Compression, Phantom
+    from simcore.core.store import Store
 
 __all__ = ["build", "generate", "load", "plates", "require", "with_outline"]
 
@@ -26,6 +25,8 @@ def build(spec: PhantomSpec, seed: int, store: Store, progress: Progress = silen
     raises: as ``generate`` and ``load``, and where the file was never added to the store.
     """
     if spec.kind == "uploaded":
+        from simcore.phantom.upload import registry
+
         with registry.open_file(store, spec) as file:
             return load(spec, file, progress)
     return generate(spec, seed, progress)
@@ -34,11 +35,17 @@ def build(spec: PhantomSpec, seed: int, store: Store, progress: Progress = silen
 def require(spec: PhantomSpec, store: Store) -> None:
     """raises: SpecError where a file that ``spec`` needs is not in the store, or is another one than it says"""
     if spec.kind == "uploaded":
+        from simcore.phantom.upload import registry
+
         registry.require(store, spec)
 
 
 def with_outline(phantom: Phantom) -> Phantom:
     """With the digest of what is breast and what is air in its report: all that most meshes depend on."""
+    import numpy as np
+
+    from simcore.core.canonical import canonical
+
     outline = hashlib.sha256(canonical(phantom.grid.to_dict()))
     for layer in phantom.labels:
         outline.update(np.packbits(layer).tobytes())  # air is 0

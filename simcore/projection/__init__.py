@@ -5,12 +5,26 @@ projection.integrals.line_integrals gives the line integrals of one view themsel
 
 from __future__ import annotations
 
-from simcore.core.artifacts import Phantom, ProjectionStack
+from typing import TYPE_CHECKING
+
 from simcore.core.progress import Progress, silent
-from simcore.projection.acquisition import geometry_of
 from simcore.projection.spec import AcquisitionSpec, PhysicsSpec
 
+if TYPE_CHECKING:  # whoever reads a specification needs no numerics
+    from simcore.core.artifacts import Phantom, ProjectionStack
+    from simcore.core.geometry import AcquisitionGeometry
+
 __all__ = ["AcquisitionSpec", "PhysicsSpec", "attenuation_per_mm", "geometry_of", "project"]
+
+
+def geometry_of(acquisition: AcquisitionSpec) -> AcquisitionGeometry:
+    """The poses of every view in the detector frame; see simcore.projection.acquisition.
+
+    raises: GeometryError where the isocenter does not lie below the source.
+    """
+    from simcore.projection.acquisition import geometry_of as poses_of
+
+    return poses_of(acquisition)
 
 
 def project(

@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from simcore.core.errors import GeometryError
 from simcore.core.geometry import AT_REST, AcquisitionGeometry, Detector
-from simcore.projection.spec import AcquisitionSpec, DetectorPoseSpec, ViewSpec, tube_angles
+from simcore.projection.spec import AcquisitionSpec, DetectorPoseSpec, ViewSpec
 
 
 def geometry_of(acquisition: AcquisitionSpec) -> AcquisitionGeometry:
@@ -51,7 +51,7 @@ def _listed(acquisition: AcquisitionSpec, views: list[ViewSpec]) -> AcquisitionG
         poses = np.stack([AT_REST if view.detector is None else _pose(view.detector) for view in views])
         turns = np.rad2deg(np.arctan2(-poses[:, 1, 2], poses[:, 1, 1])) + 0.0
     return AcquisitionGeometry(
-        angles=tube_angles(sources, acquisition.isocenter_height_mm),
+        angles=np.rad2deg(np.arctan2(sources[:, 1], sources[:, 2] - acquisition.isocenter_height_mm)),
         sources=sources,
         detector=_detector(acquisition),
         detector_angles=turns,

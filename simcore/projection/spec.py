@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import math
+from collections.abc import Sequence
 from typing import Annotated, Any, Literal, Self
 
-import numpy as np
 from pydantic import Field, field_validator, model_validator
 
 from simcore.core.spec_base import Spec, quantity
@@ -46,14 +47,12 @@ class DetectorPoseSpec(Spec):
 
     @model_validator(mode="after")
     def _orthonormal(self) -> Self:
-        rows, columns = np.array(self.row_direction), np.array(self.column_direction)
-        for name, vector in (("row_direction", rows), ("column_direction", columns)):
-            if abs(np.linalg.norm(vector) - 1.0) > ORTHONORMAL:
-                raise ValueError(f"{name} = {vector.tolist()} has length {np.linalg.norm(vector):g}; it must be 1")
-        if abs(rows @ columns) > ORTHONORMAL:
-            raise ValueError(
-                f"row_direction and column_direction must be perpendicular; their product is {rows @ columns:g}"
-            )
+        for name, vector in (("row_direction", self.row_direction), ("column_direction", self.column_direction)):
+            if abs((length := math.hypot(*vector)) - 1.0) > ORTHONORMAL:
+                raise ValueError(f"{name} = {vector} has length {length:g}; it must be 1")
+        product = math.fsum(a * b for a, b in zip(self.row_direction, self.column_direction, strict=True))
+        if abs(product) > ORTHONORMAL:
+            raise ValueError(f"row_direction and column_direction must be perpendicular; their product is {product:g}")
         return self
 
 
@@ -195,9 +194,9 @@ class AcquisitionSpec(Spec):
         return [slab for slab in (self.support, self.paddle) if slab is not None]
 
 
-def tube_angles(sources: Any, isocenter_height: float) -> Any:
-    """Angle of focal spots (n, 3) about the isocenter in the y-z plane, degrees, positive towards +y."""
-    return np.rad2deg(np.arctan2(sources[:, 1], sources[:, 2] - isocenter_height))
+def tube_angle(source: Sequence[float], isocenter_height: float) -> float:
+    """Angle of a focal spot about the isocenter in the y-z plane, degrees, positive towards +y."""
+    return math.degrees(math.atan2(source[1], source[2] - isocenter_height))
 
 
 def _of_trajectory(trajectory: Any, isocenter_height: Any) -> dict[str, Any]:
@@ -213,12 +212,12 @@ def _of_trajectory(trajectory: Any, isocenter_height: Any) -> dict[str, Any]:
         spots.append(spot)
     if not spots or type(isocenter_height) not in (int, float):
         return {}
-    sources = np.array(spots, np.float64)
-    angles = tube_angles(sources, isocenter_height)
+    angles = [tube_angle(spot, isocenter_height) for spot in spots]
+    middle = min(range(len(spots)), key=lambda k: abs(angles[k]))
     return {
         "views": len(spots),
-        "angular_range_degrees": float(np.ptp(angles)),
-        "source_to_detector_mm": float(sources[np.argmin(np.abs(angles)), 2]),
+        "angular_range_degrees": max(angles) - min(angles),
+        "source_to_detector_mm": float(spots[middle][2]),
     }
 
 

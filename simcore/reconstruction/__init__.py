@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
-from simcore.core.artifacts import ProjectionStack, Volume
+from typing import TYPE_CHECKING
+
 from simcore.core.progress import Progress, silent
 from simcore.reconstruction.body import Body
-from simcore.reconstruction.methods import method_of
 from simcore.reconstruction.spec import FilteredBackprojection, ReconstructionSpec
+
+if TYPE_CHECKING:  # whoever reads a specification needs no numerics
+    from simcore.core.artifacts import ProjectionStack, Volume
 
 __all__ = ["FilteredBackprojection", "ReconstructionSpec", "reconstruct"]
 
@@ -28,4 +31,7 @@ def reconstruct(
     returns: Volume in the detector frame, uint16 (nz, ny, nx); attenuation [1/mm] = slope * data + intercept.
     raises: GeometryError where the views do not span an angle, the slices reach the source, or a region holds no voxel.
     """
+    # Here and not above: the specification is read where nothing may load compiled code.
+    from simcore.reconstruction.methods import method_of
+
     return method_of(spec)(stack, spec, Body(thickness_mm, *beyond_mm), progress)

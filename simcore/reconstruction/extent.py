@@ -39,7 +39,7 @@ def volume_grid(geometry: AcquisitionGeometry, spec: VolumeSpec, body: Body) -> 
 def in_region(grid: Grid, region: RegionSpec, support_height: float) -> Grid:
     """The voxels of ``grid`` (detector frame) that a region touches. raises: GeometryError where there are none."""
     lift = np.array([0.0, 0.0, support_height])
-    return within(grid, region.lower() + lift, region.upper() + lift)
+    return within(grid, np.array(region.lower()) + lift, np.array(region.upper()) + lift)
 
 
 def within(grid: Grid, low: NDArray[np.float64], high: NDArray[np.float64]) -> Grid:

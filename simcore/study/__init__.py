@@ -1,6 +1,5 @@
-"""Studies: families of cases from a base specification and axes."""
+"""Families of cases: one base specification and axes (simcore.study.expansion makes their cases)."""
 
-from simcore.study.expansion import Case, columns, expand
 from simcore.study.spec import StudySpec
 
-__all__ = ["Case", "StudySpec", "columns", "expand"]
+__all__ = ["StudySpec"]

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import math
-from typing import Annotated, Literal, Self
+from typing import TYPE_CHECKING, Annotated, Literal, Self
 
-import numpy as np
 from pydantic import Field, JsonValue, model_validator
 
 from simcore.core.spec_base import Spec
+
+if TYPE_CHECKING:
+    import numpy as np
 
 _TRIES = 1000
 """Draws of a normal distribution after which one of the cut distribution is made from its distribution function."""

@@ -7,9 +7,9 @@ from typing import Annotated, Literal, Self
 
 from pydantic import Field, JsonValue, ValidationError, model_validator
 
+from simcore.core.canonical import canonical
 from simcore.core.errors import SpecError
 from simcore.core.spec_base import Spec
-from simcore.core.store import canonical
 from simcore.phantom.lesions import LesionSpec
 from simcore.spec import spec_error
 from simcore.study.distributions import Distribution

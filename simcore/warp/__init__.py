@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
-from simcore.core.artifacts import Compression, Phantom, TetMesh
+from typing import TYPE_CHECKING
+
 from simcore.core.progress import Progress, silent
 from simcore.warp.spec import WarpSpec
+
+if TYPE_CHECKING:  # whoever reads a specification needs no numerics
+    from simcore.core.artifacts import Compression, Phantom, TetMesh
 
 __all__ = ["WarpSpec", "deform"]
 

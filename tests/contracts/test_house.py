@@ -11,7 +11,7 @@ import pytest
 from worker.delivery import overrides
 
 ROOT = Path(__file__).parents[2]
-HOUSES = ("simcore", "worker", "api", "tomosim")
+HOUSES = ("simcore", "tomosim_contract", "worker", "api", "tomosim")
 MAX_FILES = 20
 MAX_LINES = 400
 

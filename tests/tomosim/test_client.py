@@ -22,8 +22,8 @@ from simcore.spec import SimulationSpec
 from tomosim import client as clients
 from tomosim.client import AsyncClient, Client, Retrying, ServiceError, twin
 from tomosim.client.files import Partial
+from tomosim_contract.destination import Destination
 from worker.compute.supervisor import Slot
-from worker.destination_spec import Destination
 from worker.settings import Settings
 
 AT_ONCE = Retrying(first_seconds=0.0, longest_seconds=0.0)

@@ -16,7 +16,8 @@ from api.app import create_app
 from simcore import estimate
 from simcore.core.store import FileRef
 from simcore.spec import SimulationSpec
-from simcore.study import StudySpec, expand
+from simcore.study import StudySpec
+from simcore.study.expansion import expand
 from tomosim.cli import main
 from tomosim.client import AsyncClient, Client
 from worker.settings import Settings

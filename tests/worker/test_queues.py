@@ -2,7 +2,7 @@
 
 import pytest
 
-from worker.contract import queue_of
+from tomosim_contract.names import queue_of
 from worker.messages import CeleryMessenger, create_celery
 from worker.settings import SettingsError
 

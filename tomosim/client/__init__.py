@@ -4,6 +4,11 @@ Answers are the models that the service itself answers with; errors are exceptio
 Needs neither the server nor the database nor the numerics.
 """
 
+# ruff: noqa: E402 - the check comes before the imports it is about
+from tomosim import own
+
+own.refuse_foreign()
+
 from tomosim.client.async_client import AsyncClient
 from tomosim.client.common import DEFAULT_URL
 from tomosim.client.errors import (

@@ -12,14 +12,7 @@ from typing import IO, Any, TypeVar
 
 import anyio
 
-from api.deliveries.resources import DeliveryResource, InstanceResource, NewDelivery
-from api.destinations.resources import DestinationName, DestinationResource, EchoResource
-from api.phantoms.resources import PhantomResource
-from api.simulations.resources import ArtifactResource, SimulationResource
-from api.site.catalog_resources import PresetResource, ServiceInfo
-from api.studies.resources import CaseResource, StudyEstimate, StudyResource
-from api.webhooks.resources import DEFAULT_EVENTS, CreatedWebhook, MessageResource, NewWebhook, WebhookResource
-from simcore.estimate import Estimate
+from simcore.core.needs import Estimate
 from simcore.phantom.upload.reading import Reading
 from simcore.spec import SimulationSpec
 from tomosim.client import calls, common, files
@@ -28,8 +21,15 @@ from tomosim.client.calls import Call, Json, Specification, Study
 from tomosim.client.common import Deadline
 from tomosim.client.files import Downloaded
 from tomosim.client.streams import CaseEvent
-from worker.contract import FINAL_STATES, Device, InstanceState, Priority, State, WebhookEvent
-from worker.destination_spec import Destination
+from tomosim_contract.catalog import PresetResource, ServiceInfo
+from tomosim_contract.deliveries import DeliveryResource, InstanceResource, NewDelivery
+from tomosim_contract.destination import Destination
+from tomosim_contract.destinations import DestinationName, DestinationResource, EchoResource
+from tomosim_contract.names import FINAL_STATES, Device, InstanceState, Priority, State, WebhookEvent
+from tomosim_contract.phantoms import PhantomResource
+from tomosim_contract.simulations import ArtifactResource, SimulationResource
+from tomosim_contract.studies import CaseResource, StudyEstimate, StudyResource
+from tomosim_contract.webhooks import DEFAULT_EVENTS, CreatedWebhook, MessageResource, NewWebhook, WebhookResource
 
 T = TypeVar("T")
 

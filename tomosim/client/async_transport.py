@@ -14,14 +14,14 @@ from typing import Any, Self, TypeVar
 import anyio
 import httpx
 
-from api.simulations.resources import ArtifactResource
 from tomosim.client import calls, common, errors, files
 from tomosim.client.calls import Call
 from tomosim.client.common import Deadline, run_in_thread
 from tomosim.client.files import Downloaded
 from tomosim.client.retrying import Retrying
 from tomosim.client.streams import CaseEvent, EventParser
-from worker.contract import FINAL_STATES
+from tomosim_contract.names import FINAL_STATES
+from tomosim_contract.simulations import ArtifactResource
 
 T = TypeVar("T")
 

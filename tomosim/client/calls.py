@@ -12,13 +12,18 @@ from urllib.parse import quote
 import httpx
 from pydantic import BaseModel
 
-from api.deliveries.resources import DeliveryPage, DeliveryResource, InstancePage, NewDelivery
-from api.destinations.resources import DestinationList, DestinationResource, EchoResource
-from api.phantoms.resources import PhantomList, PhantomResource
-from api.simulations.resources import ArtifactList, SimulationPage, SimulationResource
-from api.site.catalog_resources import PresetList, PresetResource, ServiceInfo
-from api.studies.resources import CasePage, StudyEstimate, StudyPage, StudyResource
-from api.webhooks.resources import (
+from simcore.core.needs import Estimate
+from simcore.phantom.upload.reading import Reading
+from simcore.spec import SimulationSpec
+from simcore.study.spec import StudySpec
+from tomosim_contract.catalog import PresetList, PresetResource, ServiceInfo
+from tomosim_contract.deliveries import DeliveryPage, DeliveryResource, InstancePage, NewDelivery
+from tomosim_contract.destination import Destination
+from tomosim_contract.destinations import DestinationList, DestinationResource, EchoResource
+from tomosim_contract.phantoms import PhantomList, PhantomResource
+from tomosim_contract.simulations import ArtifactList, SimulationPage, SimulationResource
+from tomosim_contract.studies import CasePage, StudyEstimate, StudyPage, StudyResource
+from tomosim_contract.webhooks import (
     CreatedWebhook,
     MessagePage,
     MessageResource,
@@ -26,11 +31,6 @@ from api.webhooks.resources import (
     WebhookList,
     WebhookResource,
 )
-from simcore.estimate import Estimate
-from simcore.phantom.upload.reading import Reading
-from simcore.spec import SimulationSpec
-from simcore.study.spec import StudySpec
-from worker.destination_spec import Destination
 
 T = TypeVar("T")
 M = TypeVar("M", bound=BaseModel)

@@ -11,7 +11,6 @@ from typing import IO, Any, Self
 
 import httpx
 
-from simcore.core.store import file_digest
 from tomosim.client.common import run_in_thread
 from tomosim.client.errors import DigestError, ServiceError
 
@@ -38,7 +37,12 @@ def target_of(folder: Path, name: str) -> Path:
 
 def is_there(target: Path, size: int, sha256: str) -> bool:
     """Whether a file is there with this content."""
-    return target.is_file() and target.stat().st_size == size and file_digest(target) == sha256
+    return target.is_file() and target.stat().st_size == size and _digest(target) == sha256
+
+
+def _digest(path: Path) -> str:
+    with open(path, "rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()
 
 
 class Partial:

@@ -26,9 +26,9 @@ from typing import IO, Any
 from simcore.core.errors import SimulationError
 from simcore.core.store import Store
 from simcore.spec import SimulationSpec
+from tomosim_contract.names import internal_failure
 from worker import logs
 from worker.compute.memory import out_of_memory
-from worker.contract import internal_failure
 from worker.serve.tether import die_with_parent
 from worker.settings import Settings
 from worker.storage import open_store

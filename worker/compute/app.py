@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from celery import Celery
 
+from tomosim_contract.names import TASK_SIMULATE
 from worker import logs
 from worker.compute.supervisor import Slots
-from worker.contract import TASK_SIMULATE
 from worker.messages import create_celery
 from worker.records.jobs import Jobs
 from worker.settings import Settings

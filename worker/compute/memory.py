@@ -12,7 +12,7 @@ import signal
 from pathlib import Path
 from typing import Any
 
-from worker.contract import OUT_OF_MEMORY, failure
+from tomosim_contract.names import OUT_OF_MEMORY, failure
 
 _LAST_WORDS = re.compile(
     rb"std::bad_alloc|std::bad_array_new_length"  # the C++ runtime, of an exception that nobody caught

@@ -8,13 +8,13 @@ import os
 import select
 import signal
 import subprocess
-import sys
 import time
 from typing import Any
 
+from simcore.children import command
+from tomosim_contract.names import COMPUTE_CRASHED, failure
 from worker.compute import memory
 from worker.compute.last_words import LastWords
-from worker.contract import COMPUTE_CRASHED, failure
 from worker.serve import processes
 from worker.settings import Settings
 
@@ -51,7 +51,7 @@ class ComputeProcess:
         reader, writer = os.pipe()
         try:
             self._process = subprocess.Popen(
-                [sys.executable, "-m", "worker.compute", str(writer), str(os.getpid())],
+                command("worker.compute", str(writer), str(os.getpid())),
                 env=env,
                 stdin=subprocess.PIPE,
                 stderr=subprocess.PIPE,

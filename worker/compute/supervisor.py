@@ -16,10 +16,10 @@ from typing import Any
 
 from sqlalchemy.exc import SQLAlchemyError
 
+from tomosim_contract.names import OUT_OF_MEMORY, TIMEOUT, failure, internal_failure
 from worker import logs
 from worker.compute.process import ComputeDiedError, ComputeProcess
 from worker.compute.watch import Watch, write_end
-from worker.contract import OUT_OF_MEMORY, TIMEOUT, failure, internal_failure
 from worker.records.database import AWAY, outlast
 from worker.records.jobs import Jobs, Simulation, StageProgress
 from worker.settings import Settings

@@ -10,7 +10,7 @@ from typing import Any
 
 from sqlalchemy.exc import SQLAlchemyError
 
-from worker.contract import State
+from tomosim_contract.names import State
 from worker.records.database import Result, outlast
 from worker.records.leases import Leases
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from worker.contract import TASK_DELIVER
+from tomosim_contract.names import TASK_DELIVER
 from worker.delivery.commitment import Listener
 from worker.delivery.sender import Sender
 from worker.records.deliveries import Deliveries

@@ -18,9 +18,9 @@ from pynetdicom.association import Association
 from pynetdicom.presentation import PresentationContext
 
 from simcore.core.errors import SimulationError
+from tomosim_contract.destination import Destination, Tls
 from worker.delivery import addresses, overrides
 from worker.delivery.overrides import Entity, Socket, Throttle
-from worker.destination_spec import Destination, Tls
 
 VERIFICATION = "1.2.840.10008.1.1"
 

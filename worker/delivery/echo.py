@@ -20,9 +20,9 @@ from pydicom.uid import (
 )
 
 from simcore.core.errors import SimulationError
+from tomosim_contract.destination import Destination
 from worker.delivery import association
 from worker.delivery.association import Kind
-from worker.destination_spec import Destination
 from worker.settings import Settings
 
 LABEL_MAP_SEGMENTATION = "1.2.840.10008.5.1.4.1.1.66.7"

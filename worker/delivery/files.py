@@ -10,8 +10,8 @@ from pydicom.errors import InvalidDicomError
 from pydicom.filereader import read_file_meta_info
 from pydicom.uid import UID, ExplicitVRLittleEndian, ImplicitVRLittleEndian
 
+from tomosim_contract.destination import TRANSFER_SYNTAX_UIDS, Destination
 from worker.delivery.association import Kind
-from worker.destination_spec import TRANSFER_SYNTAX_UIDS, Destination
 
 UNCOMPRESSED = (str(ExplicitVRLittleEndian), str(ImplicitVRLittleEndian))
 

@@ -25,7 +25,7 @@ from pynetdicom.pdu_primitives import A_ASSOCIATE, P_DATA, MaximumLengthNotifica
 from pynetdicom.transport import AddressInformation, AssociationSocket
 
 from simcore.dicom.identity import IMPLEMENTATION_UID
-from worker.destination_spec import Destination
+from tomosim_contract.destination import Destination
 
 VERSION = "3.0.4"
 """The version of pynetdicom whose internals these are; pyproject.toml takes no other one."""

@@ -11,8 +11,8 @@ from collections.abc import Callable
 from sqlalchemy.exc import SQLAlchemyError
 
 from simcore.core.store import Store
+from tomosim_contract.names import failure, internal_failure
 from worker.compute.watch import Watch, write_end
-from worker.contract import failure, internal_failure
 from worker.delivery.commitment import Reports
 from worker.delivery.tour import Tools, Tour
 from worker.records.database import AWAY, Result, outlast

@@ -12,13 +12,13 @@ from pathlib import Path
 
 from simcore.core.errors import SimulationError, StoreError
 from simcore.core.store import FileRef, Store
-from worker.contract import failure, internal_failure
+from tomosim_contract.destination import Destination
+from tomosim_contract.names import failure, internal_failure
 from worker.delivery import association, commitment, outcomes
 from worker.delivery.association import AssociationError, Kind, Peer
 from worker.delivery.commitment import Reports
 from worker.delivery.files import UNCOMPRESSED, FileError, Header, converted, offered, read_header
 from worker.delivery.overrides import Throttle
-from worker.destination_spec import Destination
 from worker.records.database import Result, outlast
 from worker.records.deliveries import Deliveries
 from worker.records.delivery_tables import Delivery, Instance, Outcome

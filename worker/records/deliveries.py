@@ -14,7 +14,7 @@ from typing import Any, ClassVar
 
 import sqlalchemy as sa
 
-from worker.contract import ACTIVE_STATES, EVENT_PROGRESS, EVENT_STATE, STATES, InstanceState, Queue, State
+from tomosim_contract.names import ACTIVE_STATES, EVENT_PROGRESS, EVENT_STATE, STATES, InstanceState, Queue, State
 from worker.records.database import columns_of, reading, rows_of
 from worker.records.delivery_tables import (
     Delivery,

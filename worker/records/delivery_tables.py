@@ -9,7 +9,7 @@ from typing import Literal
 
 import sqlalchemy as sa
 
-from worker.contract import FINAL_STATES, InstanceState, Queue, failure
+from tomosim_contract.names import FINAL_STATES, InstanceState, Queue, failure
 from worker.records.database import metadata
 from worker.records.rows import Json, Leased
 

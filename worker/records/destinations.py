@@ -9,7 +9,7 @@ from typing import Any
 import sqlalchemy as sa
 from sqlalchemy.exc import IntegrityError
 
-from worker.destination_spec import Destination
+from tomosim_contract.destination import Destination
 from worker.records.database import Repository, metadata, reading
 from worker.records.delivery_tables import unfinished
 from worker.records.rows import NotFoundError

@@ -12,7 +12,7 @@ from typing import cast
 
 import sqlalchemy as sa
 
-from worker.contract import WebhookEvent
+from tomosim_contract.names import WebhookEvent
 from worker.records import counters, retention, webhooks
 from worker.records.database import simulations
 from worker.records.deliveries import Deliveries

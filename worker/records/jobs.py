@@ -8,7 +8,7 @@ from typing import Any, ClassVar
 
 import sqlalchemy as sa
 
-from worker.contract import DEFAULT_QUEUE, EVENT_PROGRESS, EVENT_STATE, Queue, State
+from tomosim_contract.names import DEFAULT_QUEUE, EVENT_PROGRESS, EVENT_STATE, Queue, State
 from worker.records import quotas
 from worker.records.database import events, reading, simulations
 from worker.records.leases import Leases

@@ -14,7 +14,7 @@ from dataclasses import dataclass, fields
 
 import sqlalchemy as sa
 
-from worker.contract import Scope
+from tomosim_contract.names import Scope
 from worker.records.database import Repository, columns_of, metadata, reading, rows_of
 from worker.settings import Settings, SettingsError, is_loopback
 

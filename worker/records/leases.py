@@ -13,7 +13,7 @@ from typing import Any, ClassVar, Generic, TypeVar
 
 import sqlalchemy as sa
 
-from worker.contract import ACTIVE_STATES, EVENT_STATE, FINAL_STATES, WORKER_LOST, State, failure
+from tomosim_contract.names import ACTIVE_STATES, EVENT_STATE, FINAL_STATES, WORKER_LOST, State, failure
 from worker.records.database import Repository, columns_of, newest, reading, rows_of
 from worker.records.rows import NO_OWNER, QUEUED, Event, Json, Leased, NotFoundError, StateError
 

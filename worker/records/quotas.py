@@ -9,7 +9,7 @@ from typing import Any
 
 import sqlalchemy as sa
 
-from worker.contract import FINAL_STATES
+from tomosim_contract.names import FINAL_STATES
 from worker.records.database import simulations
 from worker.records.keys import table as keys
 

@@ -10,7 +10,7 @@ from typing import Protocol
 
 import sqlalchemy as sa
 
-from worker.contract import EVENT_PROGRESS, FINAL_STATES
+from tomosim_contract.names import EVENT_PROGRESS, FINAL_STATES
 from worker.records.database import Repository, events, simulations
 from worker.records.rows import NotFoundError
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any
 
-from worker.contract import FINAL_STATES, State
+from tomosim_contract.names import FINAL_STATES, State
 
 Json = dict[str, Any]
 

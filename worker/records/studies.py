@@ -9,7 +9,7 @@ from typing import Any, ClassVar
 
 import sqlalchemy as sa
 
-from worker.contract import EVENT_STATE, FINAL_STATES, Queue, State, StudyState
+from tomosim_contract.names import EVENT_STATE, FINAL_STATES, Queue, State, StudyState
 from worker.records import quotas
 from worker.records.database import columns_of, events, metadata, newest, reading, rows_of, simulations
 from worker.records.jobs import UNKNOWN, Jobs, Simulation

@@ -18,7 +18,7 @@ from typing import Any
 
 import sqlalchemy as sa
 
-from worker.contract import MessageState, WebhookEvent
+from tomosim_contract.names import MessageState, WebhookEvent
 from worker.records.database import Repository, columns_of, metadata, newest, reading, rows_of
 from worker.records.rows import NotFoundError, StateError
 

@@ -26,6 +26,7 @@ from typing import IO
 
 from sqlalchemy.exc import SQLAlchemyError
 
+from simcore.children import command
 from simcore.core.errors import SimulationError
 from worker.records import schema
 from worker.records.database import connect
@@ -193,9 +194,9 @@ def _start_all(settings: Settings, children: list[Child], signals: _Signals) -> 
     if not settings.broker_url:
         server = child("broker", lambda: broker.command(settings))
         _wait(lambda: broker.answers(settings), server, signals)
-    child("worker", lambda: [sys.executable, "-m", "worker"]).ended = expire
-    child("delivery", lambda: [sys.executable, "-m", "worker.delivery"]).ended = expire_deliveries
-    api = child("api", lambda: [sys.executable, "-m", "api"], env)
+    child("worker", lambda: command("worker")).ended = expire
+    child("delivery", lambda: command("worker.delivery")).ended = expire_deliveries
+    api = child("api", lambda: command("api"), env)
     _wait(lambda: _is_ready(settings), api, signals, children)
 
 

@@ -7,19 +7,16 @@ import os
 import signal
 import subprocess
 import sys
-from pathlib import Path
 from typing import IO
 
+from simcore import children
 from worker.serve import tether
 from worker.settings import Settings
-
-ROOT = Path(__file__).resolve().parents[2]
 
 
 def environment(settings: Settings, **more: str) -> dict[str, str]:
     """Environment of a child: the settings, and where these packages lie (they need not be installed)."""
-    path = os.pathsep.join(filter(None, [str(ROOT), os.environ.get("PYTHONPATH")]))
-    return {**os.environ, **settings.environment(), "PYTHONPATH": path, **more}
+    return children.environment(**{**settings.environment(), **more})
 
 
 def start(command: list[str], env: dict[str, str], output: IO[bytes] | int | None) -> subprocess.Popen[bytes]:

@@ -17,7 +17,7 @@ import sqlalchemy as sa
 
 from simcore.core.store import Store
 from simcore.phantom.upload import registry
-from worker.contract import FINAL_STATES
+from tomosim_contract.names import FINAL_STATES
 from worker.records.database import reading, simulations
 from worker.records.delivery_tables import deliveries, instances
 from worker.records.fleet import Chores

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import logging
 
-from worker.contract import SIMULATION_QUEUES, Queue
+from tomosim_contract.names import SIMULATION_QUEUES, Queue
 from worker.messages import Messenger
 from worker.records import counters
 from worker.records.deliveries import Deliveries

@@ -4,16 +4,20 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
-import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field
 
-from simcore.core.grid import Point
 from simcore.core.spec_base import Spec
 from simcore.core.tissues import Tissue
 
-Offsets = NDArray[np.float64]
+if TYPE_CHECKING:  # specifications are read where nothing may load numerics
+    import numpy as np
+    from numpy.typing import NDArray
+
+    from simcore.core.grid import Point
+
+    Offsets = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

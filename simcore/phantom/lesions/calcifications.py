@@ -2,15 +2,19 @@
 
 from __future__ import annotations
 
-from typing import Literal, Self
+from typing import TYPE_CHECKING, Literal, Self
 
-import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
 from simcore.core.spec_base import quantity
 from simcore.core.tissues import Tissue
-from simcore.phantom.lesions.body import Body, Offsets, Placed
+from simcore.phantom.lesions.body import Body, Placed
+
+if TYPE_CHECKING:  # a specification is read where nothing may load numerics
+    import numpy as np
+    from numpy.typing import NDArray
+
+    from simcore.phantom.lesions.body import Offsets
 
 
 class CalcificationCluster(Placed):
@@ -40,6 +44,8 @@ class CalcificationCluster(Placed):
 
     def bodies(self, random: np.random.Generator) -> list[Body]:
         """One sphere a calcification."""
+        import numpy as np
+
         directions = random.normal(size=(self.count, 3))
         directions /= np.linalg.norm(directions, axis=1)[:, None]
         centres = directions * (self.cluster_mm / 2 * np.cbrt(random.random((self.count, 1))))

@@ -3,15 +3,19 @@
 from __future__ import annotations
 
 import math
-from typing import Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
 
-import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field
 
 from simcore.core.spec_base import quantity
 from simcore.core.tissues import Tissue
-from simcore.phantom.lesions.body import Body, Offsets, Placed
+from simcore.phantom.lesions.body import Body, Placed
+
+if TYPE_CHECKING:  # a specification is read where nothing may load numerics
+    import numpy as np
+    from numpy.typing import NDArray
+
+    from simcore.phantom.lesions.body import Offsets
 
 _DIRECTIONS = 4000
 """Directions over which the volume of a lobed mass is set."""
@@ -40,6 +44,8 @@ class Mass(Placed):
 
     def bodies(self, random: np.random.Generator) -> list[Body]:
         """One solid."""
+        import numpy as np
+
         half = np.array(self.size_mm) / 2
         if self.lobulation == 0:
             return [Body(Tissue.MASS, (0.0, 0.0, 0.0), self.size_mm, lambda x, y, z: _relative(x, y, z, half)[0] <= 1)]
@@ -70,6 +76,8 @@ def _relative(
     x: Offsets, y: Offsets, z: Offsets, half: NDArray[np.float64]
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Radius in units of the ellipsoid, and direction (..., 3) in the frame in which it is a sphere."""
+    import numpy as np
+
     points = np.stack(np.broadcast_arrays(x / half[0], y / half[1], z / half[2]), axis=-1)
     radius = np.linalg.norm(points, axis=-1)
     return radius, points / np.maximum(radius, 1e-12)[..., None]
@@ -77,6 +85,8 @@ def _relative(
 
 def _even_directions(number: int) -> NDArray[np.float64]:
     """Points of a Fibonacci spiral on the unit sphere, (number, 3)."""
+    import numpy as np
+
     k = np.arange(number) + 0.5
     z, turn = 1.0 - 2.0 * k / number, math.pi * (1.0 + math.sqrt(5.0)) * k
     across = np.sqrt(1.0 - z**2)

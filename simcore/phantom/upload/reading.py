@@ -2,17 +2,17 @@
 
 from __future__ import annotations
 
-from typing import IO, Annotated, Literal
+from typing import IO, TYPE_CHECKING, Annotated, Literal
 
-import numpy as np
 from pydantic import Field, ValidationError
 
 from simcore.core.errors import SpecError
 from simcore.core.spec_base import Spec
-from simcore.phantom.upload.formats.decoding import begins_with_gzip
-from simcore.phantom.upload.formats.header import Encoding, Header
 from simcore.phantom.upload.spec import OWN_AXES, Axes, Count, Edge
 from simcore.phantom.upload.tissue_maps import TissueMap
+
+if TYPE_CHECKING:
+    from simcore.phantom.upload.formats.header import Encoding, Header
 
 
 class RawHeader(Spec):
@@ -37,6 +37,12 @@ class RawHeader(Spec):
 
     def header(self, voxels: IO[bytes]) -> Header:
         """That of the voxels in a file, gzip-compressed or not."""
+        # Here and not above: clients say how a file is to be read, and need no numerics.
+        import numpy as np
+
+        from simcore.phantom.upload.formats.decoding import begins_with_gzip
+        from simcore.phantom.upload.formats.header import Header
+
         encoding: Encoding = "gzip" if begins_with_gzip(voxels) else "raw"
         dtype = np.dtype(self.dtype).newbyteorder("<" if self.byte_order == "little" else ">")
         return Header("raw", self.shape, self.spacing_mm, self.axes, dtype, encoding, 0, skip=self.header_bytes)

@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
-import numpy as np
-from numpy.typing import NDArray
 from pydantic import AfterValidator
 
 from simcore.core.errors import SpecError
 from simcore.core.tissues import Tissue
+
+if TYPE_CHECKING:  # specifications name tissues where nothing may load numerics
+    import numpy as np
+    from numpy.typing import NDArray
 
 LARGEST_VALUE = 65535
 UNKNOWN = 255
@@ -76,19 +78,25 @@ TissueMap = Annotated[str | dict[str, str], AfterValidator(_checked)]
 """The name of a built-in map, or {value: tissue}."""
 
 
+def _codes(tissues: TissueMap) -> dict[int, int]:
+    """The tissue, or PADDLE, of every value that a map names."""
+    codes = {**TISSUES, "paddle": PADDLE}
+    return BUILT_IN[tissues] if isinstance(tissues, str) else {int(v): codes[n] for v, n in tissues.items()}
+
+
 def table(tissues: TissueMap) -> NDArray[np.uint8]:
     """uint8 (LARGEST_VALUE + 1,): the tissue of every value, UNKNOWN where there is none."""
-    codes = {**TISSUES, "paddle": PADDLE}
-    named = BUILT_IN[tissues] if isinstance(tissues, str) else {int(v): codes[n] for v, n in tissues.items()}
+    import numpy as np
+
     result = np.full(LARGEST_VALUE + 1, UNKNOWN, np.uint8)
-    for value, tissue in named.items():
+    for value, tissue in _codes(tissues).items():
         result[value] = tissue
     return result
 
 
 def has_tissue(tissues: TissueMap, tissue: Tissue) -> bool:
     """Whether any value is a tissue."""
-    return bool(np.any(table(tissues) == tissue))
+    return tissue in _codes(tissues).values()
 
 
 def name_of(code: int) -> str:

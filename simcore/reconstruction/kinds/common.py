@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
+import math
 from typing import ClassVar, Literal, Self
 
-import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
 from simcore.core.spec_base import Spec, quantity
@@ -33,15 +32,15 @@ class RegionSpec(Spec):
                 raise ValueError(f"{axis}_min_mm = {low:g} must be below {axis}_max_mm = {high:g}")
         return self
 
-    def lower(self) -> NDArray[np.float64]:
+    def lower(self) -> tuple[float, ...]:
         """(x, y, z), mm; minus infinity without a bound."""
         bounds = (self.x_min_mm, self.y_min_mm, self.z_min_mm)
-        return np.array([-np.inf if b is None else b for b in bounds])
+        return tuple(-math.inf if b is None else b for b in bounds)
 
-    def upper(self) -> NDArray[np.float64]:
+    def upper(self) -> tuple[float, ...]:
         """(x, y, z), mm; infinity without a bound."""
         bounds = (self.x_max_mm, self.y_max_mm, self.z_max_mm)
-        return np.array([np.inf if b is None else b for b in bounds])
+        return tuple(math.inf if b is None else b for b in bounds)
 
 
 class VolumeSpec(Spec):

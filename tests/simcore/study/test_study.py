@@ -7,8 +7,9 @@ import pytest
 
 from simcore.core.errors import SpecError
 from simcore.spec import SimulationSpec
-from simcore.study import StudySpec, columns, expand
+from simcore.study import StudySpec
 from simcore.study.distributions import Normal
+from simcore.study.expansion import columns, expand
 
 
 def study(*axes, **rest):

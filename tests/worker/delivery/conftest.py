@@ -22,8 +22,8 @@ from pydicom.uid import (
     ExplicitVRLittleEndian,
 )
 
+from tomosim_contract.destination import Destination
 from worker.delivery.sender import Sender
-from worker.destination_spec import Destination
 from worker.records.database import connect
 from worker.records.deliveries import Deliveries
 from worker.records.delivery_tables import Item, Request

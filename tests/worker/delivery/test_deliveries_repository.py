@@ -5,8 +5,8 @@ import threading
 
 import pytest
 
+from tomosim_contract.destination import Destination
 from worker.delivery.outcomes import no_answer, of_status
-from worker.destination_spec import Destination
 from worker.records.deliveries import Deliveries
 from worker.records.delivery_tables import Item, Request
 from worker.records.destinations import Destinations, InUseError, NameTakenError

@@ -1,4 +1,4 @@
-"""What clients see of presets, schemas and limits. Imported by clients: no server, no database."""
+"""Answers about presets, schemas and limits."""
 
 from __future__ import annotations
 

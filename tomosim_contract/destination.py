@@ -1,4 +1,4 @@
-"""What a destination is, as an administrator says it. Imported by clients: no database."""
+"""What a destination is, as an administrator says it."""
 
 from __future__ import annotations
 
