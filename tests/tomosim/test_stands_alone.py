@@ -138,14 +138,13 @@ def test_the_service_starts_beside_them(crowded: Path) -> None:
 
 def test_client_specification_and_command_need_neither_numerics_nor_service(tmp_path: Path) -> None:
     code = f"""{WITHOUT}
-import json, tomosim
+import tomosim
 from tomosim.client import Client
 from simcore.phantom.upload.reading import Reading
 names = tomosim.presets.names()
 specs = [tomosim.SimulationSpec.parse(tomosim.presets.get(name).model_dump_json()) for name in names]
 Client("http://127.0.0.1:1").close()
-study = {{"base": {{"phantom": {{"kind": "anthropomorphic", "lesions": [{{"kind": "mass"}}]}}}}}}
-tomosim.StudySpec.parse(json.dumps(study))
+tomosim.StudySpec.parse(open({str(ROOT / "examples" / "studies" / "lesion_pairs.json")!r}).read())
 Reading.parse('{{"tissues": "victre", "raw": {{"shape": [2, 2, 2], "spacing_mm": [1.0, 1.0, 1.0]}}}}')
 try:
     tomosim.SimulationSpec.from_dict({{"acquisition": {{"views": 0}}}})
