@@ -32,8 +32,8 @@ def as_quadratic(semi_axes: SemiAxes, cells: int) -> tuple[TetMesh, NDArray[np.i
     fine, coarse = half_ellipsoid(semi_axes, cells), half_ellipsoid(semi_axes, cells // 2)
     lattice = _octahedral(coarse.nodes, semi_axes)
     ends = coarse.tets[:, np.array(MIDSIDES)]
-    wanted = np.concatenate([lattice[coarse.tets], lattice[ends].mean(axis=2)], axis=1)
-    distance, tets = cKDTree(_octahedral(fine.nodes, semi_axes)).query(wanted)
+    points = np.concatenate([lattice[coarse.tets], lattice[ends].mean(axis=2)], axis=1)
+    distance, tets = cKDTree(_octahedral(fine.nodes, semi_axes)).query(points)
     assert np.max(distance) < 1e-9
     return fine, np.asarray(tets, dtype=np.int64)
 

@@ -99,16 +99,16 @@ def choose(breast: Phantom) -> list[Inserted]:
     x, y = grid.centres("x"), grid.centres("y")
     room[distance_transform_edt(no_skin) * grid.spacing[0] < FROM_SKIN] = 0.0
     room[:, x < FROM_WALL] = 0.0
-    found: list[Inserted] = []
-    while len(found) < DISKS + BEADS:
+    places: list[Inserted] = []
+    while len(places) < DISKS + BEADS:
         row, column = np.unravel_index(int(np.argmax(room)), room.shape)
-        needed = DISK_RADIUS + 0.5 if len(found) < DISKS else BEAD_RADIUS + 0.5
+        needed = DISK_RADIUS + 0.5 if len(places) < DISKS else BEAD_RADIUS + 0.5
         if room[row, column] < needed:
-            raise ValueError(f"only {len(found)} places in fat at mid height; {DISKS + BEADS} are needed")
-        tissue = Tissue.MASS if len(found) < DISKS else Tissue.CALCIFICATION
-        found.append(Inserted(tissue, (float(x[column]), float(y[row]), float(middle))))
+            raise ValueError(f"only {len(places)} places in fat at mid height; {DISKS + BEADS} are needed")
+        tissue = Tissue.MASS if len(places) < DISKS else Tissue.CALCIFICATION
+        places.append(Inserted(tissue, (float(x[column]), float(y[row]), float(middle))))
         room[:, np.abs(x - x[column]) < APART_X] = 0.0
-    return found
+    return places
 
 
 def inserted(breast: Phantom, objects: list[Inserted]) -> Phantom:
@@ -231,11 +231,11 @@ class _Shadow:
         grid = self.volume.grid
         heights = grid.centres("z") - self.centre[2]
         rows = np.abs(grid.centres("y") - self.centre[1]) <= FAN
-        found = []
+        values = []
         for k in np.flatnonzero(np.abs(heights) >= AWAY):
             columns = np.abs(grid.centres("x") - self._followed()[k]) <= self._radius(self.thing)
-            found.append((self.values[k][np.ix_(rows, columns)] / self.peak).ravel())
-        return np.concatenate(found).astype(np.float64)
+            values.append((self.values[k][np.ix_(rows, columns)] / self.peak).ravel())
+        return np.concatenate(values).astype(np.float64)
 
 
 def _columns(volume: Volume, first: int, count: int) -> Any:

@@ -54,9 +54,9 @@ scene it is slower.
 """
 
 
-def page(found: dict[str, Any]) -> str:
+def page(result: dict[str, Any]) -> str:
     lines = [MEASURED.rstrip("\n")]
-    voxels = found["voxels"]
+    voxels = result["voxels"]
     for n, row in enumerate(voxels):
         cells = []
         for name in ("exact", "trilinear", "difference"):
@@ -64,17 +64,17 @@ def page(found: dict[str, Any]) -> str:
             cells.append(f"{row[name]:.4f} | {order}")
         lines.append(f"| {row['edge_mm']:g} | {' | '.join(cells)} |")
     lines.append(STEPS.rstrip("\n"))
-    steps = found["steps"]
+    steps = result["steps"]
     for n, row in enumerate(steps):
         order = "" if n == 0 else f"{math.log2(steps[n - 1]['error'] / row['error']):.2f}"
         lines.append(f"| {row['step']:g} | {row['error']:.1e} | {order} |")
     lines.append(PIXELS.rstrip("\n"))
     of = {}
-    for row in found["pixels"]:
+    for row in result["pixels"]:
         of[row["edge_mm"], row["form"], row["rays"]] = row["rms"]
         rays = f"{row['rays']} x {row['rays']}"
         lines.append(f"| {row['edge_mm']:g} | {row['form']} | {rays} | {row['rms']:.1e} | {row['p999']:.1e} |")
     coarse = of[0.2, "labels", 2]
     partial, finer = 1 - of[0.2, "partial volume", 2] / coarse, 1 - of[0.1, "labels", 2] / coarse
-    lines.append(DECISION.rstrip("\n").format(partial=partial, finer=finer, **found["maps"]))
+    lines.append(DECISION.rstrip("\n").format(partial=partial, finer=finer, **result["maps"]))
     return "\n".join(lines) + "\n"

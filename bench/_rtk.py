@@ -34,12 +34,12 @@ def geometry_of(geometry: AcquisitionGeometry) -> Any:
     """ThreeDCircularProjectionGeometry of a detector at rest in z = 0."""
     if not geometry.stationary:
         raise ValueError("the detector turns")
-    made = rtk.ThreeDCircularProjectionGeometry.New()
+    circle = rtk.ThreeDCircularProjectionGeometry.New()
     for x, y, z in geometry.sources:
-        understood = made.AddProjection(_point(-y, x, z), _point(0, 0, 0), _vector(1, 0, 0), _vector(0, 1, 0))
+        understood = circle.AddProjection(_point(-y, x, z), _point(0, 0, 0), _vector(1, 0, 0), _vector(0, 1, 0))
         if not understood:
             raise ValueError(f"RTK refuses the source at {(x, y, z)}")
-    return made
+    return circle
 
 
 def volume_of(data: FloatArray, grid: Grid) -> Any:
@@ -70,11 +70,11 @@ array_of_projections = array_of_volume
 
 def joseph(projections: Any, volume: Any, geometry: Any) -> Any:
     """The filter of Joseph's forward projection, not yet run; ``projections`` are what it adds to."""
-    made = rtk.JosephForwardProjectionImageFilter[IMAGE, IMAGE].New()
-    made.SetInput(0, projections)
-    made.SetInput(1, volume)
-    made.SetGeometry(geometry)
-    return made
+    itk_filter = rtk.JosephForwardProjectionImageFilter[IMAGE, IMAGE].New()
+    itk_filter.SetInput(0, projections)
+    itk_filter.SetInput(1, volume)
+    itk_filter.SetGeometry(geometry)
+    return itk_filter
 
 
 def backprojection(kind: str, volume: Any, projections: Any, geometry: Any) -> Any:
@@ -85,11 +85,11 @@ def backprojection(kind: str, volume: Any, projections: Any, geometry: Any) -> A
         "fdk": rtk.FDKBackProjectionImageFilter,
         "joseph": rtk.JosephBackProjectionImageFilter,
     }
-    made = names[kind][IMAGE, IMAGE].New()
-    made.SetInput(0, volume)
-    made.SetInput(1, projections)
-    made.SetGeometry(geometry)
-    return made
+    itk_filter = names[kind][IMAGE, IMAGE].New()
+    itk_filter.SetInput(0, volume)
+    itk_filter.SetInput(1, projections)
+    itk_filter.SetGeometry(geometry)
+    return itk_filter
 
 
 def _point(*values: float) -> Any:
@@ -105,25 +105,25 @@ def _vector(*values: float) -> Any:
 
 def fdk(volume: Any, projections: Any, geometry: Any) -> Any:
     """The filter of Feldkamp's reconstruction (weights, ramp, back-projection), which adds to ``volume``."""
-    made = rtk.FDKConeBeamReconstructionFilter[IMAGE].New()
-    made.SetInput(0, volume)
-    made.SetInput(1, projections)
-    made.SetGeometry(geometry)
-    return made
+    itk_filter = rtk.FDKConeBeamReconstructionFilter[IMAGE].New()
+    itk_filter.SetInput(0, volume)
+    itk_filter.SetInput(1, projections)
+    itk_filter.SetGeometry(geometry)
+    return itk_filter
 
 
 def sart(volume: Any, projections: Any, geometry: Any, relaxation: float) -> Any:
     """The filter of one iteration of SART from ``volume``: Joseph's projection, voxel back-projection, every view by
     itself, no negative values."""
-    made = rtk.SARTConeBeamReconstructionFilter[IMAGE, IMAGE].New()
-    made.SetInput(0, volume)
-    made.SetInput(1, projections)
-    made.SetGeometry(geometry)
-    made.SetForwardProjectionFilter(made.ForwardProjectionType_FP_JOSEPH)
-    made.SetBackProjectionFilter(made.BackProjectionType_BP_VOXELBASED)
-    made.SetNumberOfIterations(1)
-    made.SetNumberOfProjectionsPerSubset(1)
-    made.SetLambda(relaxation)
-    made.SetEnforcePositivity(True)
-    made.SetDisableDisplacedDetectorFilter(True)
-    return made
+    itk_filter = rtk.SARTConeBeamReconstructionFilter[IMAGE, IMAGE].New()
+    itk_filter.SetInput(0, volume)
+    itk_filter.SetInput(1, projections)
+    itk_filter.SetGeometry(geometry)
+    itk_filter.SetForwardProjectionFilter(itk_filter.ForwardProjectionType_FP_JOSEPH)
+    itk_filter.SetBackProjectionFilter(itk_filter.BackProjectionType_BP_VOXELBASED)
+    itk_filter.SetNumberOfIterations(1)
+    itk_filter.SetNumberOfProjectionsPerSubset(1)
+    itk_filter.SetLambda(relaxation)
+    itk_filter.SetEnforcePositivity(True)
+    itk_filter.SetDisableDisplacedDetectorFilter(True)
+    return itk_filter

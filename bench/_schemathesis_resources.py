@@ -46,18 +46,18 @@ PATHS = {
 
 def make(http: httpx.Client, dicom_cases: list[str]) -> Values:
     """Makes them on a service that carries cases out; the values by dictionary."""
-    found: Values = {name: [] for parameters in PATHS.values() for name in parameters.values()}
-    found |= {"frames": ["1"], "places": ["7FE00010"], "presets": ["tiny"], "artifacts": ["volume.dcm"]}
+    values: Values = {name: [] for parameters in PATHS.values() for name in parameters.values()}
+    values |= {"frames": ["1"], "places": ["7FE00010"], "presets": ["tiny"], "artifacts": ["volume.dcm"]}
     for number in range(OF_EACH):
-        found["simulations"].append(_post(http, "/v1/simulations", {"seed": number})["id"])
+        values["simulations"].append(_post(http, "/v1/simulations", {"seed": number})["id"])
         axes = [{"kind": "grid", "field": "seed", "values": [number, number + 1]}]
-        found["studies"].append(_post(http, "/v1/studies", {"axes": axes})["id"])
+        values["studies"].append(_post(http, "/v1/studies", {"axes": axes})["id"])
         pacs = {"name": f"pacs-{number}", "host": "127.0.0.1", "port": 1, "called_aet": "PACS"}
-        found["destinations"].append(_post(http, "/v1/destinations", pacs)["id"])
+        values["destinations"].append(_post(http, "/v1/destinations", pacs)["id"])
         hook = _post(http, "/v1/webhooks", {"url": "https://93.184.216.34/hook"})["id"]
-        found["webhooks"].append(hook)
-        found["messages"].append(_post(http, f"/v1/webhooks/{hook}/test", None)["id"])
-    _wait_until_all_have_succeeded(http, found["simulations"])
+        values["webhooks"].append(hook)
+        values["messages"].append(_post(http, f"/v1/webhooks/{hook}/test", None)["id"])
+    _wait_until_all_have_succeeded(http, values["simulations"])
     reading = {"raw": {"shape": [20, 20, 20], "spacing_mm": [2.0, 2.0, 2.0]}, "tissues": "tomosim"}
     uploaded = http.post(
         "/v1/phantoms",
@@ -65,15 +65,15 @@ def make(http: httpx.Client, dicom_cases: list[str]) -> Values:
         content=bytes([1, 2, 1, 1] * 2000),
         headers={"Content-Type": "application/octet-stream"},
     )
-    found["phantoms"].append(uploaded.raise_for_status().json()["sha256"])
-    for destination, case in zip(found["destinations"], dicom_cases, strict=True):
-        found["simulations"].append(case)
+    values["phantoms"].append(uploaded.raise_for_status().json()["sha256"])
+    for destination, case in zip(values["destinations"], dicom_cases, strict=True):
+        values["simulations"].append(case)
         sent = {"destination": destination, "simulation_id": case}
-        found["deliveries"].append(_post(http, "/v1/deliveries", sent)["id"])
+        values["deliveries"].append(_post(http, "/v1/deliveries", sent)["id"])
     for entry in http.get("/dicomweb/instances").raise_for_status().json():
         for name, tag in (("studies", "0020000D"), ("series", "0020000E"), ("instances", "00080018")):
-            found[f"dicom-{name}"] += [uid for uid in entry[tag]["Value"] if uid not in found[f"dicom-{name}"]]
-    return found
+            values[f"dicom-{name}"] += [uid for uid in entry[tag]["Value"] if uid not in values[f"dicom-{name}"]]
+    return values
 
 
 def configuration(values: Values) -> str:
@@ -105,7 +105,7 @@ def _wait_until_all_have_succeeded(http: httpx.Client, identifiers: list[str]) -
 def make_dicom_cases(http: httpx.Client, served: Services, folder: Path) -> list[str]:
     """Cases whose files are DICOM objects that can be read. Before anybody else runs what is queued."""
     needs = _post(http, "/v1/simulations/estimate", {})
-    made = []
+    identifiers = []
     for number in range(OF_EACH):
         files = {}
         for name in ("projections/0001.dcm", "projections/0002.dcm"):
@@ -115,8 +115,8 @@ def make_dicom_cases(http: httpx.Client, served: Services, folder: Path) -> list
         identifier = served.jobs.create({}, needs, "dicom").id
         assert served.jobs.claim(identifier, "resources") is not None
         assert served.jobs.succeed(identifier, "resources", {"files": files, "stages": [], "results": {}})
-        made.append(identifier)
-    return made
+        identifiers.append(identifier)
+    return identifiers
 
 
 def _dicom() -> ModuleType:

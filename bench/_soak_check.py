@@ -88,8 +88,8 @@ def check(
     by_name: dict[str, list[Any]] = {name: [] for name in specs}
     for row in rows:
         by_name[row["name"]].append(row)
-    for name, found in by_name.items():
-        checked.findings += _case(name, found, expected[name], name in cancelled, ends)
+    for name, cases in by_name.items():
+        checked.findings += _case(name, cases, expected[name], name in cancelled, ends)
     checked.findings += _store(Store(settings.store_folder), [row["manifest"] for row in rows if row["manifest"]])
     return checked
 

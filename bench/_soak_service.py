@@ -91,13 +91,13 @@ class Service:
     def kill_one(self, kind: str, chance: random.Random) -> bool:
         """Kills a process of a kind, if one is there."""
         if kind == "compute":
-            found = sorted(self._compute_processes())
+            pids = sorted(self._compute_processes())
         else:
-            found = [p.process.pid for p in self._parts if p.kind == kind and p.process and p.process.poll() is None]
-        if not found:
+            pids = [p.process.pid for p in self._parts if p.kind == kind and p.process and p.process.poll() is None]
+        if not pids:
             return False
         try:
-            os.kill(chance.choice(found), signal.SIGKILL)
+            os.kill(chance.choice(pids), signal.SIGKILL)
         except ProcessLookupError:
             return False
         return True
@@ -143,12 +143,12 @@ class Service:
 
 def marked(marker: str) -> Iterator[tuple[int, str]]:
     """(number, command) of every process of a run."""
-    wanted = f"{MARKER}={marker}".encode()
+    entry = f"{MARKER}={marker}".encode()
     for folder in Path("/proc").iterdir():
         if not folder.name.isdigit():
             continue
         try:
-            if wanted in (folder / "environ").read_bytes().split(b"\0"):
+            if entry in (folder / "environ").read_bytes().split(b"\0"):
                 yield int(folder.name), (folder / "cmdline").read_bytes().replace(b"\0", b" ").decode()
         except OSError:
             continue  # it has ended, or belongs to somebody else

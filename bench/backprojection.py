@@ -107,8 +107,8 @@ def compared_voxels(geometry: AcquisitionGeometry, grid: Grid, rounds: int) -> d
     image = _rtk.projections_of(projections, geometry)
 
     def peer(kind: str) -> Callable[[], Any]:
-        made = _rtk.backprojection(kind, _rtk.volume_of(np.zeros(grid.shape, np.float32), grid), image, poses)
-        return lambda: updated(made)
+        itk_filter = _rtk.backprojection(kind, _rtk.volume_of(np.zeros(grid.shape, np.float32), grid), image, poses)
+        return lambda: updated(itk_filter)
 
     timings = in_turns({"ours": lambda: ours, "peer": lambda: peer("voxel"), "peer_fdk": lambda: peer("fdk")}, rounds)
     expected = _rtk.array_of_volume(timings["peer_fdk"].result)
@@ -159,8 +159,8 @@ def compared_fbp(
     poses, image = _rtk.geometry_of(stack.geometry), _rtk.projections_of(integrals, stack.geometry)
 
     def peer() -> Callable[[], Any]:
-        made = _rtk.fdk(_rtk.volume_of(np.zeros(grid.shape, np.float32), grid), image, poses)
-        return lambda: updated(made)
+        itk_filter = _rtk.fdk(_rtk.volume_of(np.zeros(grid.shape, np.float32), grid), image, poses)
+        return lambda: updated(itk_filter)
 
     timings = in_turns({"ours": lambda: lambda: reconstruct(stack, spec, thickness_mm), "peer": peer}, rounds)
     return {
@@ -209,8 +209,8 @@ def compared_sart(integrals: FloatArray, grid: Grid, geometry: AcquisitionGeomet
     poses, image = _rtk.geometry_of(geometry), _rtk.projections_of(integrals, geometry)
 
     def peer() -> Callable[[], Any]:
-        made = _rtk.sart(_rtk.volume_of(np.zeros(grid.shape, np.float32), grid), image, poses, RELAXATION)
-        return lambda: updated(made)
+        itk_filter = _rtk.sart(_rtk.volume_of(np.zeros(grid.shape, np.float32), grid), image, poses, RELAXATION)
+        return lambda: updated(itk_filter)
 
     timings = in_turns({"ours": ours, "peer": peer}, rounds)
     volumes = {"ours": timings["ours"].result, "peer": _rtk.array_of_volume(timings["peer"].result)}
@@ -224,9 +224,9 @@ def compared_sart(integrals: FloatArray, grid: Grid, geometry: AcquisitionGeomet
     }
 
 
-def updated(made: Any) -> Any:
-    made.Update()
-    return made.GetOutput()
+def updated(itk_filter: Any) -> Any:
+    itk_filter.Update()
+    return itk_filter.GetOutput()
 
 
 def ratios(ours: Timing, peer: Timing) -> dict[str, float]:

@@ -71,8 +71,8 @@ def main() -> int:
         if abs(result["peer_difference"]) > allowed:
             problems.append("CalculiX")
         if args.all_calculix:
-            held = calculix.hold(mesh.nodes, quadratic, MATERIAL, ours)
-            result |= compared("peer_prescribed", ours, seconds, held.force_N, held.seconds)
+            prescribed = calculix.hold(mesh.nodes, quadratic, MATERIAL, ours)
+            result |= compared("peer_prescribed", ours, seconds, prescribed.force_N, prescribed.seconds)
             linear = calculix.compress(mesh.nodes, mesh.tets, MATERIAL, SPEC.percent)
             result |= compared("peer_linear", ours, seconds, linear.force_N, linear.seconds)
     else:

@@ -153,9 +153,9 @@ def _deliver(files: Path, port: int) -> None:
         start = time.perf_counter()
         sender.run(identifier)
         seconds = time.perf_counter() - start
-        found = deliveries.get(identifier)
-        if found.state != "succeeded":
-            sys.exit(f"{found.state}: {found.error}")
+        delivery = deliveries.get(identifier)
+        if delivery.state != "succeeded":
+            sys.exit(f"{delivery.state}: {delivery.error}")
         # Not getrusage: that counts the memory of whoever started this process, too.
         status = Path("/proc/self/status").read_text().splitlines()
         peak_kB = next(int(line.split()[1]) for line in status if line.startswith("VmHWM"))
@@ -215,9 +215,9 @@ def _empty(http: httpx.Client) -> None:
 
 
 def _check(http: httpx.Client, expected: int) -> None:
-    found = http.get("/statistics").json()["CountInstances"]
-    if found != expected:
-        sys.exit(f"Orthanc has {found} instances instead of {expected}")
+    count = http.get("/statistics").json()["CountInstances"]
+    if count != expected:
+        sys.exit(f"Orthanc has {count} instances instead of {expected}")
 
 
 if __name__ == "__main__":

@@ -99,8 +99,8 @@ def _median(run: Callable[[], object], rounds: int) -> float:
 
 def _volume(client: httpx.Client) -> str:
     """The address of the volume."""
-    (found,) = client.get("instances?SOPClassUID=1.2.840.10008.5.1.4.1.1.13.1.3").raise_for_status().json()
-    return str(found["00081190"]["Value"][0])
+    (instance,) = client.get("instances?SOPClassUID=1.2.840.10008.5.1.4.1.1.13.1.3").raise_for_status().json()
+    return str(instance["00081190"]["Value"][0])
 
 
 def _add_case(settings: Settings, folder: Path) -> None:

@@ -51,21 +51,21 @@ def main() -> int:
             for spec in (LatticeMesh(edge_length_mm=edge), TetwildMesh(edge_length_mm=edge)):
                 print(row(breast, spec, compression), flush=True)
     result = compared(breast, args.edge_mm, compression)
-    found = problems(result)
-    print(json.dumps(result | {"problems": found}))
-    return 1 if found else 0
+    lines = problems(result)
+    print(json.dumps(result | {"problems": lines}))
+    return 1 if lines else 0
 
 
 def problems(result: dict[str, Any]) -> list[str]:
     """What the lattice does not keep of its promises."""
-    found = []
+    lines = []
     if result["ratio"] < MIN_RATIO:
-        found.append(f"{result['ratio']} times as fast, at least {MIN_RATIO:g} wanted")
+        lines.append(f"{result['ratio']} times as fast, at least {MIN_RATIO:g} wanted")
     if result["min_dihedral_deg"] <= MIN_DIHEDRAL_DEG:
-        found.append(f"an angle of {result['min_dihedral_deg']} degrees, more than {MIN_DIHEDRAL_DEG:g} wanted")
+        lines.append(f"an angle of {result['min_dihedral_deg']} degrees, more than {MIN_DIHEDRAL_DEG:g} wanted")
     if abs(result["force_N"] / result["peer_force_N"] - 1) > MAX_FORCE_DIFFERENCE:
-        found.append(f"{result['force_N']} N where fTetWild's mesh gives {result['peer_force_N']} N")
-    return found
+        lines.append(f"{result['force_N']} N where fTetWild's mesh gives {result['peer_force_N']} N")
+    return lines
 
 
 def compared(breast: Phantom, edge_mm: float, compression: CompressionSpec) -> dict[str, Any]:

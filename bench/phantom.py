@@ -84,8 +84,8 @@ def compared(voxel_mm: float) -> dict[str, Any]:
     regions = oracles.grow_regions(cells.table, breast.shape.grid, inside)[inside]
     growing = len(points) / (time.perf_counter() - start)
     whole = settle(CUP_C.with_(voxel_mm=voxel_mm), SEED)
-    found = survey(whole.shape, whole.texture, cells.table, cells.gland_seeds, CUP_C.compartments.ligament_mm)
-    same = np.mean(regions == found.first) if found.stride == 1 else None
+    ours = survey(whole.shape, whole.texture, cells.table, cells.gland_seeds, CUP_C.compartments.ligament_mm)
+    same = np.mean(regions == ours.first) if ours.stride == 1 else None
     return {
         "peer_voxel_mm": voxel_mm,
         "labels_that_differ": int(np.count_nonzero(differ)),

@@ -83,8 +83,8 @@ def skin_thickness(
     normal = surface / np.stack([np.full(POINTS, a), np.full(POINTS, b), c], axis=1) ** 2
     normal /= np.linalg.norm(normal, axis=1)[:, None]
     reach = np.arange(-2 * nominal, 4 * nominal, STEP * grid.spacing[0])
-    found = look_up(labels, grid, surface[:, None, :] - reach[None, :, None] * normal[:, None, :])
-    thickness: np.ndarray = np.count_nonzero(found == Tissue.SKIN, axis=1) * (reach[1] - reach[0])
+    tissues = look_up(labels, grid, surface[:, None, :] - reach[None, :, None] * normal[:, None, :])
+    thickness: np.ndarray = np.count_nonzero(tissues == Tissue.SKIN, axis=1) * (reach[1] - reach[0])
     return thickness
 
 
@@ -119,8 +119,8 @@ def look_up(labels: np.ndarray, grid: Grid, points: np.ndarray) -> np.ndarray:
     index = np.floor((points - grid.corner) / grid.spacing).astype(np.int64)
     inside = np.all((index >= 0) & (index < np.array(labels.shape)[::-1]), axis=-1)
     index[~inside] = 0
-    found: np.ndarray = np.where(inside, labels[index[..., 2], index[..., 1], index[..., 0]], Tissue.AIR)
-    return found
+    values: np.ndarray = np.where(inside, labels[index[..., 2], index[..., 1], index[..., 0]], Tissue.AIR)
+    return values
 
 
 def page(reports: list[dict[str, Any]], thickness: dict[str, Any], voxel_mm: float) -> str:
@@ -153,12 +153,12 @@ def page(reports: list[dict[str, Any]], thickness: dict[str, Any], voxel_mm: flo
         "| breast | tissue | asked | 5 % | median | 95 % | published |",
         "| --- | --- | --- | --- | --- | --- | --- |",
     ]
-    asked = {"skin": BREASTS["plain"].skin_mm, "ligament": BREASTS["plain"].compartments.ligament_mm}
+    design = {"skin": BREASTS["plain"].skin_mm, "ligament": BREASTS["plain"].compartments.ligament_mm}
     known = {"skin": "1.44 +- 0.25 (0.87 to 2.34)", "ligament": "0.2 to 0.6"}
     for name, tissues in thickness.items():
         for tissue, (low, median, high) in tissues.items():
             lines.append(
-                f"| {name} | {tissue} | {asked[tissue]:g} | {low:.2f} | {median:.2f} | {high:.2f} | {known[tissue]} |"
+                f"| {name} | {tissue} | {design[tissue]:g} | {low:.2f} | {median:.2f} | {high:.2f} | {known[tissue]} |"
             )
     lines += [
         "",

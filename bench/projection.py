@@ -48,15 +48,15 @@ def main() -> int:
     parser.add_argument("--out", type=Path, default=ROOT / "docs" / "projection_accuracy.md")
     args = parser.parse_args()
     scene, mu = balls(), attenuation_table("johns-yaffe-20keV")
-    found: dict[str, Any] = {
+    result: dict[str, Any] = {
         "voxels": convergence_of_voxels(scene, mu),
         "steps": convergence_of_steps(scene, mu),
         "pixels": errors_of_pixels(scene, mu),
         "maps": cost_of_maps(scene, mu),
         "load": machine_load(),
     }
-    args.out.write_text(page(found))
-    print(json.dumps(found))
+    args.out.write_text(page(result))
+    print(json.dumps(result))
     return 0
 
 

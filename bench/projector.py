@@ -118,15 +118,15 @@ def errors_of(
 ) -> dict[str, float]:
     """Root mean square difference to double precision, on rays through the breast; "reference": of the integrals."""
     rng = np.random.default_rng(3)
-    reference, found = [], {name: [] for name in values}  # type: dict, list
+    reference, samples = [], {name: [] for name in values}  # type: dict, list
     for view in range(geometry.views):
         lit = np.argwhere(values["exact"][view] > 0)
         for j, i in lit[rng.choice(len(lit), RAYS)]:
             pixel = geometry.pixel_position(view, j, i)
             reference.append(siddon(scene.breast.labels, scene.grid, geometry.sources[view], pixel, mu))
             for name, array in values.items():
-                found[name].append(float(array[view, j, i]))
-    errors = {name: rms(np.subtract(numbers, reference)) for name, numbers in found.items()}
+                samples[name].append(float(array[view, j, i]))
+    errors = {name: rms(np.subtract(numbers, reference)) for name, numbers in samples.items()}
     return {name: float(f"{error:.3g}") for name, error in {**errors, "reference": rms(np.array(reference))}.items()}
 
 

@@ -153,8 +153,8 @@ async def load(url: httpx.URL, path: str) -> list[float]:
     """Seconds of every answer, from several connections at once."""
     request = f"GET {path} HTTP/1.1\r\nHost: {url.netloc.decode()}\r\n\r\n".encode()
     end = time.perf_counter() + LOAD_SECONDS
-    found = await asyncio.gather(*(_ask(url, request, end) for _ in range(CONNECTIONS)))
-    return [seconds for times in found for seconds in times]
+    series = await asyncio.gather(*(_ask(url, request, end) for _ in range(CONNECTIONS)))
+    return [seconds for times in series for seconds in times]
 
 
 async def _ask(url: httpx.URL, request: bytes, end: float) -> list[float]:

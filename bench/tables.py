@@ -34,10 +34,10 @@ def cross_sections(path: Path) -> None:
         edges = sorted(edge.energy * 1e-3 for edge in xraydb.xray_edges(element).values())
         edges = [edge for edge in edges if LOWEST_KEV + 0.01 < edge < HIGHEST_KEV - 0.01]
         apart = grid[[all(abs(energy - edge) > 3e-3 for edge in edges) for energy in grid]]
-        asked = np.concatenate([apart, *(_beside_the_step(element, edge) for edge in edges)])
+        points = np.concatenate([apart, *(_beside_the_step(element, edge) for edge in edges)])
         named = np.concatenate([apart, *([edge, edge] for edge in edges)])
-        order = np.argsort(asked)
-        rows.append(np.array([xraydb.mu_elam(element, asked[order] * 1e3, kind=k) for k in ("photo", "coh", "incoh")]))
+        order = np.argsort(points)
+        rows.append(np.array([xraydb.mu_elam(element, points[order] * 1e3, kind=k) for k in ("photo", "coh", "incoh")]))
         energies.append(named[order])
         starts.append(starts[-1] + len(named))
         masses.append(xraydb.atomic_mass(element))

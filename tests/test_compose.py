@@ -104,12 +104,12 @@ def test_environment_is_known_and_valid(name, monkeypatch, tmp_path):
     environment = SERVICES[name]["environment"]
     assert set(environment) <= known
     for variable, value in environment.items():
-        given = substituted(str(value))
-        if given.startswith("/run/secrets/"):
-            secret = tmp_path / given.rpartition("/")[2]
+        text = substituted(str(value))
+        if text.startswith("/run/secrets/"):
+            secret = tmp_path / text.rpartition("/")[2]
             secret.write_text("0123456789abcdef" * 3)
-            given = str(secret)
-        monkeypatch.setenv(variable, given)
+            text = str(secret)
+        monkeypatch.setenv(variable, text)
     settings = Settings.load()
     password = "0123456789abcdef" * 3
     assert settings.resolved_database_url == f"postgresql+pg8000://tomosim:{password}@postgres:5432/tomosim"
@@ -142,8 +142,8 @@ def test_object_storage_is_added_to_what_is_there(monkeypatch, tmp_path):
         assert set(service["secrets"]) == {*SERVICES[name]["secrets"], *s3["secrets"]}
         assert set(service["networks"]) <= set(COMPOSE["networks"])
         for variable, value in service["environment"].items():
-            given = {"URL": "s3://bucket/prefix", "FILE": str(tmp_path / "key")}.get(variable.rpartition("_")[2])
-            monkeypatch.setenv(variable, given or substituted(value) or "https://s3.example.org")
+            known = {"URL": "s3://bucket/prefix", "FILE": str(tmp_path / "key")}.get(variable.rpartition("_")[2])
+            monkeypatch.setenv(variable, known or substituted(value) or "https://s3.example.org")
     assert Settings.load().store_url == "s3://bucket/prefix"
     assert Settings.load().store_secret_key == "secret"
 

@@ -63,11 +63,11 @@ def folders():
     """The folder in which the commands of a host are given; pytest's own are closed to nobody."""
     whole = Path(tempfile.mkdtemp(prefix="deploy"))
     whole.chmod(0o755)
-    made = {host: whole / host for host in ADDRESSES}
-    for host, folder in made.items():
+    paths = {host: whole / host for host in ADDRESSES}
+    for host, folder in paths.items():
         folder.mkdir()
         shutil.chown(folder, USERS[host][1])
-    yield made
+    yield paths
     shutil.rmtree(whole, ignore_errors=True)
 
 

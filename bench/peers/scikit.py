@@ -113,17 +113,17 @@ def hold(
     nodes = mesh.nodes
     height = nodes[:, 2] + ours.displacement[:, 2]
     lower, upper = (np.flatnonzero(np.abs(height - plate) < ON_PLATE_MM) for plate in ours.plate_z)
-    fixed, wanted = np.zeros(nodes.shape, dtype=bool), np.zeros(nodes.shape)
+    fixed, target = np.zeros(nodes.shape, dtype=bool), np.zeros(nodes.shape)
     fixed[mesh.wall, 0] = True
     middle = mesh.wall[np.abs(nodes[mesh.wall, 1]) < 1e-9]
     fixed[middle[np.argsort(nodes[middle, 2])][[0, -1]], 1] = True
     for touching in (lower, upper):
         fixed[touching, 2] = True
-        wanted[touching, 2] = ours.displacement[touching, 2]
+        target[touching, 2] = ours.displacement[touching, 2]
     displacement, pressure = np.zeros(nodes.shape), np.zeros(len(nodes))
     iterations = 0
     for share in np.linspace(0, 1, load_steps + 1)[1:]:
-        displacement, pressure, taken = problem.solve(displacement, pressure, fixed, share * wanted, tolerance)
+        displacement, pressure, taken = problem.solve(displacement, pressure, fixed, share * target, tolerance)
         iterations += taken
     force = problem.force(displacement, pressure)[:, 2]
     seconds = time.perf_counter() - start
@@ -169,7 +169,7 @@ class MixedProblem:
         displacement: Floats,
         pressure: Floats,
         fixed: NDArray[np.bool_],
-        wanted: Floats,
+        target: Floats,
         tolerance: float,
         load: Floats | None = None,
     ) -> tuple[Floats, Floats, int]:
@@ -182,7 +182,7 @@ class MixedProblem:
             state, of_pressure = self._state(displacement, pressure), self._pressure_at(self.corners, pressure)
             force = _force.assemble(self.displacements, **state)
             volume = _volume.assemble(self.pressures, **state) - _wanted_volume.assemble(self.corners, **of_pressure)
-            step = np.concatenate([np.where(fixed, wanted - displacement, 0.0).ravel(), np.zeros(len(pressure))])
+            step = np.concatenate([np.where(fixed, target - displacement, 0.0).ravel(), np.zeros(len(pressure))])
             scale = np.abs(force).max()
             residual = np.concatenate([force if load is None else force - load.ravel(), volume])
             if iteration > 0 and np.abs(residual[free]).max() < tolerance * scale and np.abs(step).max() < 1e-12:

@@ -69,8 +69,8 @@ def residual_and_tangent(model: Model, u: Floats, p: Floats, system: System) -> 
     """(internal forces then volume residuals (4 n,), [[K, B], [B^T, -V dJ/dp]] (4 n, 4 n)). raises: RuntimeError"""
     if not model.assemble(u, p, system) > 0:
         raise RuntimeError("an element has turned inside out")
-    wanted, compliance = model.volume_ratio_of_pressure(p)
-    volume = system.node_volume - model.node_volume * wanted
+    ratio, compliance = model.volume_ratio_of_pressure(p)
+    volume = system.node_volume - model.node_volume * ratio
     n, pattern = len(p), model.pattern
     row, column = np.repeat(np.arange(n), np.diff(pattern.row_start)), pattern.column.astype(np.int64)
     mirrored = row != column

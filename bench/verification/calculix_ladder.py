@@ -110,8 +110,8 @@ def energy_checks(cells: int = 10) -> Iterator[Check]:
     """What the other volumetric energy does to the force, by our solver and by scikit-fem."""
     mesh = half_ellipsoid(C_CUP, cells)
     other = squeeze(mesh)
-    held = scikit.hold(mesh, MATERIAL, other, squared=True)
+    peer = scikit.hold(mesh, MATERIAL, other, squared=True)
     group, what = "CalculiX, same energy", f"{len(mesh.tets)} tetrahedra"
-    yield relative(group, f"{what}: plate force, scikit-fem with that energy", held.force_N, other.force_N, 1e-4, "N")
+    yield relative(group, f"{what}: plate force, scikit-fem with that energy", peer.force_N, other.force_N, 1e-4, "N")
     change = other.force_N / compress(mesh, ONE_TISSUE, SPEC).force_N - 1
     yield absolute(group, f"{what}: relative change of the force by that energy", change, 2e-3)

@@ -51,8 +51,8 @@ def tip_of_tets(cells: int) -> float:
     load = np.zeros(nodes.shape)
     np.add.at(load[:, 1], faces.ravel(), np.repeat(TRACTION * area / 3, 3))
     law = Law(neo_hookean.ENERGY, (SHEAR_KPA,), SHEAR_KPA, BULK_KPA)
-    found = equilibrium(model_of(mesh, law), fixed, np.zeros(nodes.shape), load, load_steps=5)
-    return float(found.displacement[(s == 1) & (t == 1), 1].mean())
+    solution = equilibrium(model_of(mesh, law), fixed, np.zeros(nodes.shape), load, load_steps=5)
+    return float(solution.displacement[(s == 1) & (t == 1), 1].mean())
 
 
 def tip_of_taylor_hood(cells: int = 32) -> float:

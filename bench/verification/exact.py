@@ -40,9 +40,9 @@ def affine(gradient: Floats) -> tuple[TetMesh, Floats, Floats, Floats]:
     exact = mesh.nodes @ gradient.T
     fixed = np.zeros(mesh.nodes.shape, dtype=bool)
     fixed[np.unique(boundary_faces(mesh.tets))] = True
-    found = equilibrium(model_of(mesh, MATERIAL.law()), fixed, exact, load_steps=4)
-    stress = 1e3 * found.reaction.T @ mesh.nodes / volumes(mesh.nodes, mesh.tets).sum()
-    return mesh, found.displacement, exact, stress
+    solution = equilibrium(model_of(mesh, MATERIAL.law()), fixed, exact, load_steps=4)
+    stress = 1e3 * solution.reaction.T @ mesh.nodes / volumes(mesh.nodes, mesh.tets).sum()
+    return mesh, solution.displacement, exact, stress
 
 
 def affine_checks() -> Iterator[Check]:
@@ -55,9 +55,9 @@ def affine_checks() -> Iterator[Check]:
         "confined compression to 0.6": np.diag([0.0, 0.0, -0.4]),
     }
     for name, gradient in cases.items():
-        _, found, exact, stress = affine(gradient)
+        _, displacement, exact, stress = affine(gradient)
         expected = piola_stress(np.eye(3) + gradient, MATERIAL.law())
-        yield absolute("Affine", f"{name}: largest nodal error", float(np.abs(found - exact).max()), 1e-7, "mm")
+        yield absolute("Affine", f"{name}: largest nodal error", float(np.abs(displacement - exact).max()), 1e-7, "mm")
         i, j = (0, 2) if "shear" in name else (2, 2)
         yield relative("Affine", f"{name}: stress P_{'xyz'[i]}{'xyz'[j]}", expected[i, j], stress[i, j], 1e-7, "kPa")
 
@@ -139,8 +139,8 @@ def manufactured_error(cells: int, law: Law) -> tuple[float, float]:
     np.add.at(load, mesh.tets, np.einsum("qa,eqi->eai", shares, per_point))
     fixed = np.zeros(mesh.nodes.shape, dtype=bool)
     fixed[np.unique(boundary_faces(mesh.tets))] = True
-    found = equilibrium(model_of(mesh, law), fixed, exact, load, load_steps=2).displacement
-    return BLOCK[2] / cells, float(np.sqrt(((found - exact) ** 2).sum() / (exact**2).sum()))
+    displacement = equilibrium(model_of(mesh, law), fixed, exact, load, load_steps=2).displacement
+    return BLOCK[2] / cells, float(np.sqrt(((displacement - exact) ** 2).sum() / (exact**2).sum()))
 
 
 def manufactured_orders(cells: tuple[int, ...] = (8, 10, 12)) -> dict[float, list[tuple[float, float]]]:

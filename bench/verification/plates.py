@@ -62,16 +62,16 @@ def meshed_deflection() -> Floats:
     # Degrees of freedom of a node follow one another: x, y, z.
     at, component = basis.doflocs, np.arange(basis.N) % 3
     sides, end = np.abs(np.abs(at[1]) - PLATE.width_mm / 2) < 1e-9, np.abs(at[0] - PLATE.depth_mm) < 1e-9
-    held = (sides | end) & (component == 2) & (np.abs(at[2]) < 1e-9)
-    held |= (sides & (component == 0)) | (end & (component == 1))
-    free = ~held
+    supported = (sides | end) & (component == 2) & (np.abs(at[2]) < 1e-9)
+    supported |= (sides & (component == 0)) | (end & (component == 1))
+    free = ~supported
     u = np.zeros(basis.N)
     matrix = stiffness.assemble(basis).tocsc()
     u[free] = splu(matrix[free][:, free]).solve(load[free])
-    found = [
+    values = [
         u[(component == 2) & (np.abs(at - np.array([*point, 0.0])[:, None]).max(axis=0) < 1e-9)] for point in POINTS
     ]
-    return np.concatenate(found)
+    return np.concatenate(values)
 
 
 def plate_checks(cells: int = 10) -> Iterator[Check]:

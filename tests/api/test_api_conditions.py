@@ -20,16 +20,16 @@ def resource(request, client, post, finish, served):
             finish(case.id)
         return study["links"]["self"]
     bodies = {"destination": PACS, "webhook": {"url": "https://93.184.216.34/hook"}}
-    made = client.post(f"/v1/{request.param}s", json=bodies[request.param])
-    assert made.status_code == 201
-    return made.json()["links"]["self"]
+    answer = client.post(f"/v1/{request.param}s", json=bodies[request.param])
+    assert answer.status_code == 201
+    return answer.json()["links"]["self"]
 
 
 def test_what_can_be_deleted_has_a_strong_tag(client, resource):
-    found = client.get(resource)
-    tag = found.headers["etag"]
+    answer = client.get(resource)
+    tag = answer.headers["etag"]
     assert tag.startswith('"')
-    assert client.get(resource).content == found.content
+    assert client.get(resource).content == answer.content
     for header in (tag, f"W/{tag}", f'"x", {tag}', "*"):
         same = client.get(resource, headers={"If-None-Match": header})
         assert (same.status_code, same.content, same.headers["etag"]) == (304, b"", tag)

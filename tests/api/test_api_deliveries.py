@@ -44,7 +44,7 @@ def make(client):
 @pytest.fixture
 def case(served, post, tmp_path):
     """A case with two DICOM series that can be read, and something else."""
-    found = post(name="real")
+    row = post(name="real")
     files = {}
     for number, name in enumerate(("projections/0001.dcm", "projections/0002.dcm", "volume.dcm"), 1):
         more = {"sop_class": TOMO, "frames": 2} if name == "volume.dcm" else {}
@@ -52,9 +52,9 @@ def case(served, post, tmp_path):
         files[name] = asdict(served.store.add(tmp_path / "a.dcm"))
     (tmp_path / "a.png").write_bytes(b"png")
     files["preview/a.png"] = asdict(served.store.add(tmp_path / "a.png"))
-    assert served.jobs.claim(found["id"], "test")
-    assert served.jobs.succeed(found["id"], "test", {"files": files, "results": {}})
-    return found["id"]
+    assert served.jobs.claim(row["id"], "test")
+    assert served.jobs.succeed(row["id"], "test", {"files": files, "results": {}})
+    return row["id"]
 
 
 def deliver(served, path):
@@ -65,11 +65,11 @@ def deliver(served, path):
 
 
 def test_a_destination_from_first_to_last(client, make):
-    made = make(limits={"associations": 2})
-    path = made["links"]["self"]
-    assert (made["calling_aet"], made["tls"], made["limits"]["associations"]) == ("TOMOSIM", None, 2)
+    row = make(limits={"associations": 2})
+    path = row["links"]["self"]
+    assert (row["calling_aet"], row["tls"], row["limits"]["associations"]) == ("TOMOSIM", None, 2)
     shown = client.get(path)
-    assert shown.json() == made
+    assert shown.json() == row
     assert shown.headers["etag"] == '"1"'
     changed = client.patch(path, json={"port": 11112, "limits": {"attempts": 3}, "tls": {"ca_file": "ca.pem"}}).json()
     assert (changed["port"], changed["revision"]) == (11112, 2)
@@ -244,14 +244,14 @@ def test_the_same_request_twice(client, make, case):
 def test_lists(client, make, case, is_problem):
     destination = make()
     body = {"destination": destination["id"], "simulation_id": case}
-    made = [client.post("/v1/deliveries", json=body).json()["id"] for _ in range(3)]
-    client.post(f"/v1/deliveries/{made[0]}/cancel")
+    identifiers = [client.post("/v1/deliveries", json=body).json()["id"] for _ in range(3)]
+    client.post(f"/v1/deliveries/{identifiers[0]}/cancel")
     seen, url = [], "/v1/deliveries?limit=2"
     while url:
         response = client.get(url)
         seen += [d["id"] for d in response.json()["items"]]
         url = response.links.get("next", {}).get("url")
-    assert seen == made[::-1]
+    assert seen == identifiers[::-1]
     for query, count in (
         ("state=cancelled", 1),
         (f"simulation_id={case}", 3),
@@ -260,23 +260,23 @@ def test_lists(client, make, case, is_problem):
     ):
         assert len(client.get(f"/v1/deliveries?{query}").json()["items"]) == count
     is_problem(client.get("/v1/deliveries?cursor=x"), 400, "bad-cursor")
-    page = client.get(f"/v1/deliveries/{made[0]}/instances?limit=2").json()
+    page = client.get(f"/v1/deliveries/{identifiers[0]}/instances?limit=2").json()
     assert ([i["number"] for i in page["items"]], page["next"]) == ([0, 1], 1)
-    page = client.get(f"/v1/deliveries/{made[0]}/instances?limit=2&after=1").json()
+    page = client.get(f"/v1/deliveries/{identifiers[0]}/instances?limit=2&after=1").json()
     assert ([i["number"] for i in page["items"]], page["next"]) == ([2], None)
 
 
 def test_states_that_allow_it(client, served, make, case, is_problem):
     make()
-    made = client.post("/v1/deliveries", json={"destination": "pacs", "simulation_id": case}).json()
-    path = made["links"]["self"]
+    delivery = client.post("/v1/deliveries", json={"destination": "pacs", "simulation_id": case}).json()
+    path = delivery["links"]["self"]
     is_problem(client.post(f"{path}/retry"), 409, "not-finished")
     assert client.post(f"{path}/cancel").json()["state"] == "cancelled"
     assert client.post(f"{path}/retry").json()["state"] == "queued"
-    row = served.deliveries.claim(made["id"], "w")
+    row = served.deliveries.claim(delivery["id"], "w")
     for number in range(row.instances):
-        served.deliveries.record(made["id"], number, of_status(0), 3)
-    served.deliveries.succeed(made["id"], "w")
+        served.deliveries.record(delivery["id"], number, of_status(0), 3)
+    served.deliveries.succeed(delivery["id"], "w")
     is_problem(client.post(f"{path}/retry"), 409, "already-finished")
     is_problem(client.post(f"{path}/cancel"), 409, "already-finished")
 
@@ -291,11 +291,11 @@ def test_delivered_with_its_success(client, served, make, finish, is_problem):
     assert client.get("/v1/deliveries").json()["items"] == []
     finish(posted["id"])
     finish(plain["id"])
-    (made,) = client.get("/v1/deliveries").json()["items"]
-    assert (made["simulation_id"], made["automatic"], made["state"]) == (posted["id"], True, "queued")
-    assert made["destination"] == {"id": destination["id"], "name": "pacs"}
-    assert [i.name for i in served.deliveries.instances(made["id"])] == ["volume.dcm"]
-    assert [row.id for row in served.deliveries.unsent()] == [made["id"]]
+    (delivery,) = client.get("/v1/deliveries").json()["items"]
+    assert (delivery["simulation_id"], delivery["automatic"], delivery["state"]) == (posted["id"], True, "queued")
+    assert delivery["destination"] == {"id": destination["id"], "name": "pacs"}
+    assert [i.name for i in served.deliveries.instances(delivery["id"])] == ["volume.dcm"]
+    assert [row.id for row in served.deliveries.unsent()] == [delivery["id"]]
     for deliver_field, pointer in (
         ([{"destination": "nowhere"}], "/deliver/0/destination"),
         ([{"to": "pacs"}], "/deliver/0/destination"),
@@ -313,9 +313,9 @@ def test_a_destination_that_was_removed_meanwhile(client, served, make, finish):
     assert client.delete(path).status_code == 204
     finish(posted["id"])
     assert client.get(posted["links"]["self"]).json()["state"] == "succeeded"
-    (made,) = client.get("/v1/deliveries").json()["items"]
-    deliver(served, made["links"]["self"])
-    ended = client.get(made["links"]["self"]).json()
+    (delivery,) = client.get("/v1/deliveries").json()["items"]
+    deliver(served, delivery["links"]["self"])
+    ended = client.get(delivery["links"]["self"]).json()
     assert (ended["state"], ended["error"]["code"]) == ("failed", "destination-not-found")
     assert "'pacs' was removed" in ended["error"]["message"]
 
@@ -358,19 +358,19 @@ def test_a_study_is_delivered_case_by_case(client, make, finish):
     }
     response = client.post("/v1/studies", json=study)
     assert response.status_code == 202, response.text
-    made = response.json()
-    assert "deliver" not in made["study"]
-    cases = client.get(f"/v1/simulations?study_id={made['id']}").json()["items"]
+    posted = response.json()
+    assert "deliver" not in posted["study"]
+    cases = client.get(f"/v1/simulations?study_id={posted['id']}").json()["items"]
     finish(cases[0]["id"])
     (first,) = client.get("/v1/deliveries").json()["items"]
     assert (first["simulation_id"], first["automatic"]) == (cases[0]["id"], True)
     finish(cases[1]["id"])
     assert len(client.get("/v1/deliveries").json()["items"]) == 2
     # All of it once more, on request.
-    body = {"destination": destination["id"], "study_id": made["id"], "files": ["volume.dcm"]}
+    body = {"destination": destination["id"], "study_id": posted["id"], "files": ["volume.dcm"]}
     whole = client.post("/v1/deliveries", json=body).json()
     assert {i["simulation_id"] for i in whole["instances"]} == {case["id"] for case in cases}
-    assert (whole["study_id"], whole["instances_total"]) == (made["id"], 2)
+    assert (whole["study_id"], whole["instances_total"]) == (posted["id"], 2)
 
 
 def test_a_study_without_an_end(client, make, is_problem):

@@ -18,13 +18,13 @@ def codes_in(path: Path) -> set[tuple[int, str]]:
     calls = (
         node for node in ast.walk(ast.parse(path.read_text())) if isinstance(node, ast.Call) and len(node.args) > 1
     )
-    found = set()
+    codes = set()
     for call in calls:
         name = getattr(call.func, "id", getattr(call.func, "attr", ""))
         status, code = call.args[:2]
         if name == "ApiError" and isinstance(status, ast.Constant) and isinstance(code, ast.Constant):
-            found.add((status.value, code.value))
-    return found
+            codes.add((status.value, code.value))
+    return codes
 
 
 def test_every_code_is_documented():

@@ -12,21 +12,21 @@ from worker.records.jobs import StageProgress
 
 def parse(text):
     """[(id, event, data)] of a stream."""
-    found = []
+    events = []
     for block in text.split("\n\n"):
         fields = dict(line.split(": ", 1) for line in block.splitlines() if not line.startswith(":"))
         if "data" in fields:
-            found.append((int(fields["id"]), fields["event"], json.loads(fields["data"])))
-    return found
+            events.append((int(fields["id"]), fields["event"], json.loads(fields["data"])))
+    return events
 
 
 @pytest.fixture
 def case(post, served):
-    made = post()
-    served.jobs.claim(made["id"], "test")
-    served.jobs.progress(made["id"], "test", StageProgress("mesh", 1, 8, 0.5, "half"))
-    served.jobs.fail(made["id"], "test", {"kind": "system", "code": "timeout", "message": "too long"})
-    return made
+    row = post()
+    served.jobs.claim(row["id"], "test")
+    served.jobs.progress(row["id"], "test", StageProgress("mesh", 1, 8, 0.5, "half"))
+    served.jobs.fail(row["id"], "test", {"kind": "system", "code": "timeout", "message": "too long"})
+    return row
 
 
 def test_the_whole_story(client, case):
@@ -54,10 +54,10 @@ def test_nonsense(client, case, is_problem, seen):
 def test_a_live_stream_ends_with_the_case(client, post, served, monkeypatch):
     monkeypatch.setattr("api.http.streams.FIRST_POLL_SECONDS", 0.02)
     monkeypatch.setattr("api.http.streams.HEARTBEAT_SECONDS", 0.05)
-    made = post()
-    thread = threading.Timer(0.5, lambda: served.jobs.cancel(made["id"]))
+    row = post()
+    thread = threading.Timer(0.5, lambda: served.jobs.cancel(row["id"]))
     thread.start()
-    text = client.get(made["links"]["events"]).text
+    text = client.get(row["links"]["events"]).text
     thread.join()
     assert [data["state"] for *_, data in parse(text)] == ["queued", "cancelled"]
     assert ": still here" in text
@@ -98,14 +98,14 @@ def test_a_retried_case_goes_on(client, case, served, monkeypatch):
 
 def test_forgotten_while_watched(client, post, served, monkeypatch):
     monkeypatch.setattr("api.http.streams.FIRST_POLL_SECONDS", 0.02)
-    made = post()
+    row = post()
 
     def forget():
-        served.jobs.cancel(made["id"])
-        served.jobs.delete(made["id"])
+        served.jobs.cancel(row["id"])
+        served.jobs.delete(row["id"])
 
     thread = threading.Timer(0.3, forget)
     thread.start()
-    text = client.get(made["links"]["events"]).text
+    text = client.get(row["links"]["events"]).text
     thread.join()
     assert parse(text)[0][2]["state"] == "queued"

@@ -78,8 +78,8 @@ def test_a_compression_of_a_compressed_phantom_is_refused_at_once(client: TestCl
     reading = {"reading": json.dumps({"compressed": True})}
     part = client.post(PATH, params=reading, content=nrrd(), headers=BINARY).json()["specification"]["phantom"]
     for path in ("/v1/simulations", "/v1/simulations/estimate"):
-        asked = {"phantom": part, "compression": {"thickness_mm": 20.0}}
-        problem = is_problem(client.post(path, json=asked), 422, "invalid-request")
+        body = {"phantom": part, "compression": {"thickness_mm": 20.0}}
+        problem = is_problem(client.post(path, json=body), 422, "invalid-request")
         assert problem["reason"] == "setting-not-used"
         assert problem["errors"][0]["pointer"] == "/compression/thickness_mm"
         thin = {"phantom": {**part, "thickness_mm": 10.0}}

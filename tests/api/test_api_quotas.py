@@ -50,12 +50,12 @@ def test_of_the_settings_unless_the_key_has_its_own(settings, broker):
     limited = settings.model_copy(update={"quota_active_cases": 1})
     with TestClient(create_app(limited, broker, sweep=False), base_url=URL, client=LOOPBACK) as client:
         keys = client.app.state.services.keys
-        found = {}
+        taken = {}
         for quota in (None, 3, 0):
             header = {"Authorization": f"Bearer {keys.create('a', ['write'], active_cases=quota)[1]}"}
             answers = [client.post("/v1/simulations", json={}, headers=header).status_code for _ in range(5)]
-            found[quota] = answers.count(202)
-    assert found == {None: 1, 3: 3, 0: 5}
+            taken[quota] = answers.count(202)
+    assert taken == {None: 1, 3: 3, 0: 5}
 
 
 def test_a_study_counts_with_all_its_cases(client, served, is_problem):
@@ -67,11 +67,11 @@ def test_a_study_counts_with_all_its_cases(client, served, is_problem):
     is_problem(refused, 429, "quota")
     assert "retry-after" not in refused.headers  # it will never do
     axes[0]["values"] = [1, 2, 3]
-    made = client.post("/v1/studies?priority=interactive", json=study, headers=header | {"Idempotency-Key": "two"})
-    assert made.status_code == 202, made.text
+    answer = client.post("/v1/studies?priority=interactive", json=study, headers=header | {"Idempotency-Key": "two"})
+    assert answer.status_code == 202, answer.text
     cases = client.get("/v1/simulations", headers=header).json()["items"]
     assert [case["queue"] for case in cases] == ["interactive"] * 3
-    assert {case["request_id"] for case in cases} == {made.headers["x-request-id"]}
+    assert {case["request_id"] for case in cases} == {answer.headers["x-request-id"]}
 
 
 def test_a_refusal_can_be_repeated(client, served, finish, is_problem):

@@ -9,16 +9,16 @@ from api.app import create_app
 from worker.records.jobs import Jobs
 
 
-@pytest.mark.parametrize("given", ["abc", "4bf92f3577b34da6a3ce929d0e0e4736", "job:7/case=3@portal"])
-def test_a_sane_identifier_is_kept(client, given):
-    assert client.get("/livez", headers={"X-Request-Id": given}).headers["x-request-id"] == given
+@pytest.mark.parametrize("identifier", ["abc", "4bf92f3577b34da6a3ce929d0e0e4736", "job:7/case=3@portal"])
+def test_a_sane_identifier_is_kept(client, identifier):
+    assert client.get("/livez", headers={"X-Request-Id": identifier}).headers["x-request-id"] == identifier
 
 
-@pytest.mark.parametrize("given", ["", "a b", "x" * 129, 'a"b', "-a", "é".encode()])
-def test_any_other_is_replaced(client, given):
-    made = client.get("/livez", headers={"X-Request-Id": given}).headers["x-request-id"]
-    assert len(made) == 32
-    assert made != client.get("/livez").headers["x-request-id"]
+@pytest.mark.parametrize("identifier", ["", "a b", "x" * 129, 'a"b', "-a", "é".encode()])
+def test_any_other_is_replaced(client, identifier):
+    new = client.get("/livez", headers={"X-Request-Id": identifier}).headers["x-request-id"]
+    assert len(new) == 32
+    assert new != client.get("/livez").headers["x-request-id"]
 
 
 def test_it_is_in_problems_and_in_the_row(client, served, is_problem):
@@ -48,17 +48,17 @@ def test_a_mistake_of_ours_is_found_by_it(settings, broker, is_problem, monkeypa
         refused = client.get("/v1/simulations", headers={"X-Request-Id": "mine"})
     problem = is_problem(refused, 500, "internal-error")
     assert problem["request_id"] == refused.headers["x-request-id"] == "mine"
-    failed, told = caplog.records
+    failed, line = caplog.records
     assert (failed.message, failed.exc_info[0]) == ("request failed", RuntimeError)
-    assert (told.status, told.key) == (500, "local")
+    assert (line.status, line.key) == (500, "local")
 
 
 def test_what_changes_something_is_logged(client, caplog):
     with caplog.at_level(logging.INFO, "api.http.requests"):
         client.get("/v1/simulations")
         client.post("/v1/simulations", json={})
-    [told] = caplog.records
-    assert (told.method, told.path, told.status, told.key) == ("POST", "/v1/simulations", 202, "local")
+    [line] = caplog.records
+    assert (line.method, line.path, line.status, line.key) == ("POST", "/v1/simulations", 202, "local")
 
 
 def test_priorities(client, broker, is_problem):

@@ -63,8 +63,8 @@ def test_the_default_is_that_of_the_service(settings, broker):
         for query, kept in (("", 60.0), ("?retention_seconds=0", None), ("?retention_seconds=5.5", 5.5)):
             case = client.post(f"/v1/simulations{query}", json={}).json()
             with app.state.services.jobs.engine.connect() as connection:
-                found = sa.select(simulations.c.retention).where(simulations.c.id == case["id"])
-                assert connection.scalar(found) == kept
+                column = sa.select(simulations.c.retention).where(simulations.c.id == case["id"])
+                assert connection.scalar(column) == kept
 
 
 def test_a_study_is_pinned_as_a_whole(client, served, finish, expire, is_problem):

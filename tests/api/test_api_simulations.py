@@ -47,10 +47,10 @@ class TestRefusals:
     def test_wrong_fields_are_named(self, client, is_problem, path):
         body = {"phantom": {"voxel_mm": "0.2", "colour": "red"}, "seed": -1}
         problem = is_problem(client.post(path, json=body), 422, "invalid-request")
-        found = {e["pointer"]: e for e in problem["errors"]}
-        assert set(found) == {"/phantom/voxel_mm", "/phantom/colour", "/seed"}
-        assert found["/phantom/voxel_mm"]["value"] == "0.2"
-        assert "voxel_mm" in found["/phantom/colour"]["detail"]
+        errors = {e["pointer"]: e for e in problem["errors"]}
+        assert set(errors) == {"/phantom/voxel_mm", "/phantom/colour", "/seed"}
+        assert errors["/phantom/voxel_mm"]["value"] == "0.2"
+        assert "voxel_mm" in errors["/phantom/colour"]["detail"]
         assert client.get("/v1/simulations").json()["items"] == []
 
     def test_what_dicom_cannot_hold(self, client, is_problem, path):
@@ -145,7 +145,7 @@ def test_results_of_a_case_that_succeeded(client, done):
 
 
 def test_list_in_pages(client, post):
-    made = [post(name=f"case {n}")["id"] for n in range(5)]
+    identifiers = [post(name=f"case {n}")["id"] for n in range(5)]
     url, seen = "/v1/simulations?limit=2&state=queued", []
     while url:
         response = client.get(url)
@@ -154,7 +154,7 @@ def test_list_in_pages(client, post):
         assert all(item["specification"] is None for item in body["items"])
         assert (body["next"] is None) == ("link" not in response.headers)
         url = response.links["next"]["url"] if "next" in response.links else None
-    assert seen == made[::-1]
+    assert seen == identifiers[::-1]
 
 
 def test_list_by_state(client, post, done):

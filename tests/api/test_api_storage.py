@@ -14,8 +14,8 @@ def full(settings, broker):
     changed = settings.model_copy(update={"min_free_bytes": 1 << 60})
     with TestClient(
         create_app(changed, broker, sweep=False), base_url="http://127.0.0.1", client=("127.0.0.1", 50000)
-    ) as made:
-        yield made
+    ) as http:
+        yield http
 
 
 def test_nothing_new_is_taken(full, is_problem):

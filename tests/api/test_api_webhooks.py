@@ -26,14 +26,14 @@ def make(client):
 
 
 def test_the_secret_is_shown_once(client, make):
-    made = make(description="ours")
-    assert made["secret"].startswith("whsec_")
-    assert made["events"][0] == "simulation.succeeded"
-    path = made["links"]["self"]
+    hook = make(description="ours")
+    assert hook["secret"].startswith("whsec_")
+    assert hook["events"][0] == "simulation.succeeded"
+    path = hook["links"]["self"]
     shown = client.get(path).json()
     assert "secret" not in shown
-    assert made["secret"] not in client.get("/v1/webhooks").text
-    assert {**shown, "secret": made["secret"]} == made
+    assert hook["secret"] not in client.get("/v1/webhooks").text
+    assert {**shown, "secret": hook["secret"]} == hook
     assert client.delete(path).status_code == 204
     assert client.get("/v1/webhooks").json() == {"items": []}
 
@@ -129,7 +129,7 @@ def test_from_the_end_of_a_case_to_a_verified_message(settings, broker):
         server.shutdown()
         server.server_close()
     ((headers, body),) = got
-    told = Verifier(hook["secret"]).verify(body, headers)
-    assert (told["type"], told["data"]["id"]) == ("simulation.cancelled", case["id"])
+    content = Verifier(hook["secret"]).verify(body, headers)
+    assert (content["type"], content["data"]["id"]) == ("simulation.cancelled", case["id"])
     assert headers["webhook-id"] == message["id"]
     assert [(a["number"], a["status"], a["error"]) for a in shown["log"]] == [(1, 200, "")]

@@ -22,13 +22,13 @@ def scene():
 
 def test_closed_forms_are_the_sum_of_chords(scene):
     geometry = projection.acquisition(1.0)
-    found = integrals(scene, geometry, 1, MU)
+    values = integrals(scene, geometry, 1, MU)
     # Straight through the middle of the ball of fat, and whatever lies on the way.
     centre = scene.centres[0] + [0.0, 0.0, 20.0]
     at = geometry.sources[1] + (centre - geometry.sources[1]) * 660.0 / (660.0 - centre[2])
     j, i = round(at[1] + (geometry.detector.ny - 1) / 2), round(at[0] - 0.5)
-    assert found[j, i] >= 0.99 * 2 * scene.radii[0] * MU[1]
-    assert found.max() <= 2 * scene.radii[0] * MU.max()
+    assert values[j, i] >= 0.99 * 2 * scene.radii[0] * MU[1]
+    assert values.max() <= 2 * scene.radii[0] * MU.max()
     phantom = voxels(scene, 0.5)
     assert phantom.labels.max() <= scene.labels.max()
     volume = np.count_nonzero(phantom.labels) * 0.5**3

@@ -73,10 +73,10 @@ class Aftermath:
 
 @pytest.fixture
 def after(tmp_path: Path) -> Aftermath:
-    made = Aftermath(tmp_path / "data")
+    aftermath = Aftermath(tmp_path / "data")
     for name in ("soak-000", "soak-001"):
-        made.succeed(name)
-    return made
+        aftermath.succeed(name)
+    return aftermath
 
 
 def test_all_is_well(after: Aftermath) -> None:

@@ -90,8 +90,8 @@ def test_a_plate_of_ritz_bends_like_meshed_plexiglas() -> None:
 
 
 def test_an_edge_at_the_fixed_wall_and_none() -> None:
-    held, flat = wall.force(wall.SPEC, 8), wall.force(wall.SPEC.with_(plate_edge_mm=wall.NONE_MM), 8)
-    assert held < 0.7 * flat
+    edged, flat = wall.force(wall.SPEC, 8), wall.force(wall.SPEC.with_(plate_edge_mm=wall.NONE_MM), 8)
+    assert edged < 0.7 * flat
 
 
 @pytest.mark.needs_calculix
@@ -100,11 +100,11 @@ def test_calculix_agrees_on_a_block_and_nearly_on_a_breast() -> None:
         pytest.skip("ccx is not installed")
     block = box((30.0, 40.0, 20.0), (2, 4, 2))
     ours = compress(block, ONE_TISSUE, CompressionSpec(percent=30.0, material=exact.MATERIAL, tolerance=1e-8))
-    held = calculix.hold(block.nodes, block.tets, exact.MATERIAL, ours)
+    theirs = calculix.hold(block.nodes, block.tets, exact.MATERIAL, ours)
     # Affine, so the elements do not matter; its volumetric energy is another one.
-    assert held.force_lower_N == pytest.approx(held.force_upper_N, rel=1e-4)
-    assert held.force_N == pytest.approx(ours.force_N, rel=1e-3)
-    assert np.abs(held.displacement - ours.displacement).max() < 0.02
+    assert theirs.force_lower_N == pytest.approx(theirs.force_upper_N, rel=1e-4)
+    assert theirs.force_N == pytest.approx(ours.force_N, rel=1e-3)
+    assert np.abs(theirs.displacement - ours.displacement).max() < 0.02
     mesh, quadratic = as_quadratic(C_CUP, 6)
     free = calculix.compress(mesh.nodes, quadratic, exact.MATERIAL, 50.0)
     assert free.force_N == pytest.approx(compress(mesh, ONE_TISSUE, breast.SPEC).force_N, rel=0.04)

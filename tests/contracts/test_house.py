@@ -21,7 +21,7 @@ def circles(graph: grimp.ImportGraph) -> list[list[str]]:
     order: dict[str, int] = {}
     low: dict[str, int] = {}
     stack: list[str] = []
-    found = []
+    groups = []
 
     def visit(module: str) -> None:
         order[module] = low[module] = len(order)
@@ -35,12 +35,12 @@ def circles(graph: grimp.ImportGraph) -> list[list[str]]:
             group = stack[stack.index(module) :]
             del stack[stack.index(module) :]
             if len(group) > 1:
-                found.append(sorted(group))
+                groups.append(sorted(group))
 
     for module in sorted(graph.modules):
         if module not in order:
             visit(module)
-    return found
+    return groups
 
 
 def test_a_circle_is_seen():

@@ -14,5 +14,5 @@ HEAVY = ("numba", "pytetwild", "skimage", "llvmlite")
 )
 def test_no_heavy_import(module: str):
     code = f"import sys, {module}; print(*(m for m in {HEAVY!r} if m in sys.modules))"
-    found = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout.split()
-    assert found == []
+    modules = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout.split()
+    assert modules == []

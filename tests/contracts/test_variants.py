@@ -38,15 +38,15 @@ def family(module: str) -> str:
 def variants(package: str) -> set[type[Spec]]:
     """All specifications with a ``kind`` that are defined below the package and in no family inside it."""
     root = importlib.import_module(package)
-    found = set()
+    classes = set()
     for info in pkgutil.walk_packages(root.__path__, package + "."):
         if info.name.endswith("_child"):
             continue
         for _, cls in inspect.getmembers(importlib.import_module(info.name), inspect.isclass):
             own = cls.__module__.startswith(package + ".") and family(cls.__module__) == package
             if own and issubclass(cls, Spec) and "kind" in cls.model_fields:
-                found.add(cls)
-    return found
+                classes.add(cls)
+    return classes
 
 
 @pytest.mark.parametrize("package", FAMILIES)

@@ -181,10 +181,10 @@ def brief(value: Any) -> Any:
     """A specification as JSON without what is at its default: the same whatever fields are added later."""
     if isinstance(value, Spec):
         fields = type(value).model_fields.items()
-        given = {
+        parts = {
             name: getattr(value, name) for name, f in fields if name == "kind" or getattr(value, name) != f.default
         }
-        return {name: brief(part) for name, part in given.items()}
+        return {name: brief(part) for name, part in parts.items()}
     if isinstance(value, list | tuple):
         return [brief(item) for item in value]
     return value

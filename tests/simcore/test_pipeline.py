@@ -67,16 +67,16 @@ def test_the_manifest_tells_what_was_done(first):
 def test_a_report_without_lesions_is_told_to_be_left_out(first, tmp_path):
     """It was asked for; the study holds no lesion to report."""
     assert first.manifest["results"]["left_out"] == {"lesions.dcm": "the volume holds no lesion"}
-    asked = SPEC.with_(export=SPEC.export.with_(extra_objects=["report"]))
-    again = pipeline.run(asked, first.store)
+    spec = SPEC.with_(export=SPEC.export.with_(extra_objects=["report"]))
+    again = pipeline.run(spec, first.store)
     assert again.manifest["results"]["left_out"] == dict.fromkeys(
         ["lesions.dcm", "report.dcm"], "the volume holds no lesion"
     )
     assert "report.dcm" not in again.manifest["files"]
     spotted = SPEC.phantom.with_(lesions=(Mass(),))
-    found = pipeline.run(asked.with_(phantom=spotted), first.store)
-    assert "left_out" not in found.manifest["results"]
-    assert {"report.dcm", "lesions.dcm", "truth.csv", "file_paths.csv"} <= set(found.manifest["files"])
+    result = pipeline.run(spec.with_(phantom=spotted), first.store)
+    assert "left_out" not in result.manifest["results"]
+    assert {"report.dcm", "lesions.dcm", "truth.csv", "file_paths.csv"} <= set(result.manifest["files"])
 
 
 def test_all_files_are_written(first, tmp_path):
@@ -104,13 +104,13 @@ def test_the_dicom_files_conform(first, tmp_path):
 
 
 def test_a_second_run_computes_nothing_and_gives_the_same_files(first):
-    told = []
+    reports = []
     again = pipeline.run(
-        SPEC, first.store, lambda stage, fraction, message, *, cached=False: told.append((stage, cached))
+        SPEC, first.store, lambda stage, fraction, message, *, cached=False: reports.append((stage, cached))
     )
     assert again.manifest["computed_stages"] == 0
     assert again.files == first.files
-    assert {stage for stage, cached in told if cached} == set(pipeline.STAGES)
+    assert {stage for stage, cached in reports if cached} == set(pipeline.STAGES)
 
 
 def test_another_acquisition_of_the_same_breast_computes_only_what_differs(first):
@@ -147,11 +147,11 @@ def test_a_pair_with_and_without_a_lesion_shares_its_anatomy(first):
 
 
 def test_stages_that_read_tissues_share_nothing(first):
-    asked = SPEC.with_(
+    spec = SPEC.with_(
         compression=SPEC.compression.with_(material=ByTissue.example()), mesh=SPEC.mesh.with_(border_refinement=1.5)
     )
-    pipeline.run(asked, first.store)
-    assert cached(pipeline.run(asked.with_(seed=SPEC.seed + 7), first.store)) == []
+    pipeline.run(spec, first.store)
+    assert cached(pipeline.run(spec.with_(seed=SPEC.seed + 7), first.store)) == []
 
 
 def test_which_stages_read_tissues():
@@ -209,21 +209,21 @@ def test_a_volume_that_is_quickly_made_is_made_again_where_it_is_asked_for(first
 
 def test_a_volume_that_takes_long_is_kept(first, monkeypatch):
     spec = SPEC.with_(reconstruction=KEPT)
-    made = pipeline.run(spec, first.store).manifest
+    manifest = pipeline.run(spec, first.store).manifest
     forget(first.store, {"dicom", "preview"})
     monkeypatch.setattr(reconstruction, "reconstruct", None)
     again = pipeline.run(spec, first.store).manifest
     assert [s["name"] for s in again["stages"] if not s["cached"]] == ["dicom", "preview"]
-    assert again["files"] == made["files"]
+    assert again["files"] == manifest["files"]
 
 
 def test_stages_are_told_in_order_though_some_run_beside_others(first):
     forget(first.store, {"dicom", "mechanics", "preview"})
-    told = []
-    result = pipeline.run(SPEC, first.store, lambda stage, fraction, message, *, cached=False: told.append(stage))
+    stages = []
+    result = pipeline.run(SPEC, first.store, lambda stage, fraction, message, *, cached=False: stages.append(stage))
     assert result.manifest["computed_stages"] == 3
-    assert list(dict.fromkeys(told)) == list(pipeline.STAGES)
-    assert told == sorted(told, key=pipeline.STAGES.index)
+    assert list(dict.fromkeys(stages)) == list(pipeline.STAGES)
+    assert stages == sorted(stages, key=pipeline.STAGES.index)
 
 
 def test_what_runs_beside_a_failing_stage_is_kept(first, monkeypatch):

@@ -29,11 +29,11 @@ pipeline.run(presets.get("tiny"), Store(sys.argv[1], min_free_bytes=0))
 
 def test_every_part_has_a_process_of_its_own(monkeypatch: pytest.MonkeyPatch) -> None:
     started: list[str] = []
-    told: list[tuple[str, float]] = []
+    reports: list[tuple[str, float]] = []
     monkeypatch.setattr(warmup, "_in_a_process", started.append)
-    warmup.compile_all(2, lambda part, fraction: told.append((part, fraction)))
-    assert sorted(started) == sorted(warmup.PARTS) == sorted(part for part, _ in told)
-    assert [round(fraction * len(told)) for _, fraction in told] == list(range(1, len(told) + 1))
+    warmup.compile_all(2, lambda part, fraction: reports.append((part, fraction)))
+    assert sorted(started) == sorted(warmup.PARTS) == sorted(part for part, _ in reports)
+    assert [round(fraction * len(reports)) for _, fraction in reports] == list(range(1, len(reports) + 1))
     assert set(warmup.OF_MOST_CASES) <= set(warmup.PARTS)
 
 

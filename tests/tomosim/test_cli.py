@@ -146,9 +146,9 @@ def test_the_summary_of_a_run_shows_what_became_of_the_volume(capsys: pytest.Cap
     results["volume_after_ml"] = 59.2
     results["cautions"] = ["1 objects of calcification touch another one after compression"]
     _summary(manifest, Path("out"))
-    told = capsys.readouterr()
-    assert "volume 60.0 ml (59.2 ml compressed), glandularity" in told.out
-    assert told.err == "tomosim: 1 objects of calcification touch another one after compression\n"
+    output = capsys.readouterr()
+    assert "volume 60.0 ml (59.2 ml compressed), glandularity" in output.out
+    assert output.err == "tomosim: 1 objects of calcification touch another one after compression\n"
 
 
 @pytest.mark.parametrize(("cold", "threads", "processes"), [(True, None, 2), (True, 1, None), (False, None, None)])

@@ -26,8 +26,8 @@ def in_bucket(settings, make_location, tmp_path) -> Iterator[TestClient]:
     }
     chosen = settings.model_copy(update=changes)
     app = create_app(chosen, NoBroker(), sweep=False)
-    with TestClient(app, base_url="http://127.0.0.1", client=("127.0.0.1", 50000)) as made:
-        yield made
+    with TestClient(app, base_url="http://127.0.0.1", client=("127.0.0.1", 50000)) as http:
+        yield http
 
 
 def post(client: TestClient, folder, remove: str | None = None) -> Case:
@@ -71,6 +71,6 @@ def test_frames_and_objects_without_a_local_copy(in_bucket, exported):
 def test_a_file_that_is_missing_in_the_bucket(in_bucket, exported):
     broken = post(in_bucket, exported(), remove=VOLUME)
     other = post(in_bucket, exported(seed=5, laterality="R"))
-    found = {s["0020000D"]["Value"][0]: s for s in in_bucket.get("/dicomweb/studies").json()}
-    assert set(found) == {broken.study, other.study}
-    assert found[broken.study]["00201208"]["Value"] == [len(broken.datasets) - 1]
+    rows = {s["0020000D"]["Value"][0]: s for s in in_bucket.get("/dicomweb/studies").json()}
+    assert set(rows) == {broken.study, other.study}
+    assert rows[broken.study]["00201208"]["Value"] == [len(broken.datasets) - 1]

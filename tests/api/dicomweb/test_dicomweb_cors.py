@@ -17,8 +17,8 @@ def shared(settings):
     chosen = settings.model_copy(update={"cors_origins": f"https://other.example.org, {VIEWER}"})
     with TestClient(
         create_app(chosen, NoBroker(), sweep=False), base_url="http://127.0.0.1", client=("127.0.0.1", 50000)
-    ) as made:
-        yield made
+    ) as http:
+        yield http
 
 
 def test_off_by_default(client):
@@ -27,8 +27,8 @@ def test_off_by_default(client):
 
 
 def test_preflight_with_the_headers_of_a_viewer(shared):
-    asked = {**PREFLIGHT, "Access-Control-Request-Headers": "authorization,accept,x-requested-with"}
-    answer = shared.options("/dicomweb/studies", headers={**asked, "Access-Control-Request-Private-Network": "true"})
+    asking = {**PREFLIGHT, "Access-Control-Request-Headers": "authorization,accept,x-requested-with"}
+    answer = shared.options("/dicomweb/studies", headers={**asking, "Access-Control-Request-Private-Network": "true"})
     assert answer.status_code == 200
     assert answer.headers["access-control-allow-origin"] == VIEWER
     assert "authorization" in answer.headers["access-control-allow-headers"]

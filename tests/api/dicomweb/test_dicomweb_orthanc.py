@@ -112,17 +112,17 @@ def test_searches(web, peer, shared_case):
         ("0020000E", web.search_for_series(study), peer.search_for_series(study), 4),
         ("00080018", web.search_for_instances(study), peer.search_for_instances(study), 6),
     ):
-        found, expected = by_uid(ours, tag), by_uid(theirs, tag)
-        assert found.keys() == expected.keys()
-        for uid in found:
-            assert same_where_both_have_it(found[uid], expected[uid]) >= least
+        mine, expected = by_uid(ours, tag), by_uid(theirs, tag)
+        assert mine.keys() == expected.keys()
+        for uid in mine:
+            assert same_where_both_have_it(mine[uid], expected[uid]) >= least
 
 
 def test_metadata(web, peer, shared_case):
-    found = by_uid(web.retrieve_study_metadata(shared_case.study), "00080018")
+    mine = by_uid(web.retrieve_study_metadata(shared_case.study), "00080018")
     expected = by_uid(peer.retrieve_study_metadata(shared_case.study), "00080018")
-    assert found.keys() == expected.keys()
-    for uid, ours in found.items():
+    assert mine.keys() == expected.keys()
+    for uid, ours in mine.items():
         missing = {e.keyword for e in expected[uid] if e.tag not in ours} - OF_THE_SERVER
         assert not missing
         assert same_where_both_have_it(ours, expected[uid]) > 60

@@ -233,15 +233,15 @@ def test_what_is_not_supported_is_told(name):
 
 @pytest.mark.parametrize("name", ["KVP", "SeriesNumber", "00400275.00400009", "00990010"])
 def test_attributes_that_are_not_matched_are_told(name):
-    found = query.parse("study", [(name, "1")])
-    assert found.conditions == []
-    assert "not supported" in found.warnings[0]
+    parsed = query.parse("study", [(name, "1")])
+    assert parsed.conditions == []
+    assert "not supported" in parsed.warnings[0]
 
 
 def test_fields_to_include():
-    found = query.parse("study", [("includefield", "00081030,PatientAge"), ("includefield", "KVP"), ("limit", "5000")])
-    assert {"00081030", "00101010", "00180060"} <= found.include
-    assert found.limit == query.MAX_RESULTS
+    parsed = query.parse("study", [("includefield", "00081030,PatientAge"), ("includefield", "KVP"), ("limit", "5000")])
+    assert {"00081030", "00101010", "00180060"} <= parsed.include
+    assert parsed.limit == query.MAX_RESULTS
     assert query.parse("study", [("includeField", "all")]).include_all
 
 

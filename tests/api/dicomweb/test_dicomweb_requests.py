@@ -99,10 +99,10 @@ def index(client, case, other) -> Indexer:
 @given(st.text(alphabet="*?SYNTHEICabc^%_\\[]-.", max_size=14))
 def test_wildcards_match_as_in_a_shell(index, case, pattern):
     pattern = re.sub(r"\*+", "*", pattern)
-    found, _ = index.search("study", [Condition("PatientName", (pattern,))], 10, 0)
+    rows, _ = index.search("study", [Condition("PatientName", (pattern,))], 10, 0)
     shell = pattern.lower().replace("[", "[[]")
     name = str(case.datasets[VOLUME].PatientName).lower()
-    assert bool(found) == fnmatch.fnmatchcase(name, shell)
+    assert bool(rows) == fnmatch.fnmatchcase(name, shell)
 
 
 def test_attributes_of_results(client, case, other):
@@ -361,11 +361,11 @@ def test_a_study_without_a_date_lies_in_no_range(client, add_case, exported, ser
     dataset.StudyInstanceUID, dataset.StudyDate = "1.2.4", ""
     dataset.save_as(tmp_path / VOLUME)
     case = add_case(tmp_path, "undated")
-    found = [
+    pages = [
         client.get("/dicomweb/studies", params={"StudyInstanceUID": "1.2.4", "StudyDate": date}).json()
         for date in ("", "-20991231", "19000101-")
     ]
-    assert [len(studies) for studies in found] == [1, 0, 0]
+    assert [len(studies) for studies in pages] == [1, 0, 0]
     served.jobs.delete(case.id)
 
 

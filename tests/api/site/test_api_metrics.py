@@ -21,15 +21,15 @@ def test_states_and_queues(client, post, done, served, monkeypatch):
     now = served.jobs.clock()
     monkeypatch.setattr(served.fleet, "clock", lambda: now + 100)
     served.fleet.beat("one", 1)
-    found = scraped(client)
-    assert found["tomosim_simulations", "queued"] == 2
-    assert found["tomosim_simulations", "succeeded"] == 1
-    assert found["tomosim_simulations", "failed"] == 0
-    assert found["tomosim_queued", "batch"] == 1
-    assert 100 <= found["tomosim_queue_age_seconds", "batch"] < 200
-    assert found["tomosim_queue_age_seconds", "gpu.batch"] == 0
-    assert found["tomosim_workers", ""] == 1
-    assert found["tomosim_free_bytes", ""] > 0
+    values = scraped(client)
+    assert values["tomosim_simulations", "queued"] == 2
+    assert values["tomosim_simulations", "succeeded"] == 1
+    assert values["tomosim_simulations", "failed"] == 0
+    assert values["tomosim_queued", "batch"] == 1
+    assert 100 <= values["tomosim_queue_age_seconds", "batch"] < 200
+    assert values["tomosim_queue_age_seconds", "gpu.batch"] == 0
+    assert values["tomosim_workers", ""] == 1
+    assert values["tomosim_free_bytes", ""] > 0
 
 
 def test_stages_and_the_cache(client, post, served):
@@ -42,12 +42,12 @@ def test_stages_and_the_cache(client, post, served):
         ]
         assert served.jobs.succeed(case["id"], "test", {"stages": stages, "files": {}})
     client.delete(case["links"]["self"])
-    found = scraped(client)
-    assert found["tomosim_stages_computed_total", "phantom"] == 1
-    assert found["tomosim_stages_cached_total", "phantom"] == 1
-    assert found["tomosim_stages_computed_total", "mesh"] == 2
-    assert found["tomosim_stage_seconds_total", "phantom"] == 2.5
-    assert found["tomosim_simulations_ended_total", "succeeded"] == 2  # a case that was forgotten too
+    values = scraped(client)
+    assert values["tomosim_stages_computed_total", "phantom"] == 1
+    assert values["tomosim_stages_cached_total", "phantom"] == 1
+    assert values["tomosim_stages_computed_total", "mesh"] == 2
+    assert values["tomosim_stage_seconds_total", "phantom"] == 2.5
+    assert values["tomosim_simulations_ended_total", "succeeded"] == 2  # a case that was forgotten too
 
 
 def test_lost_workers(client, post, served, broker, settings, monkeypatch):
@@ -64,10 +64,10 @@ def test_a_collector_that_fails_hides_no_other(client, monkeypatch):
         raise RuntimeError
 
     monkeypatch.setattr(metrics, "COLLECTORS", [broken, *metrics.COLLECTORS])
-    found = scraped(client)
-    assert found["tomosim_collector_failed", "broken"] == 1
-    assert found["tomosim_collector_failed", "disk"] == 0
-    assert found["tomosim_simulations", "queued"] == 0
+    values = scraped(client)
+    assert values["tomosim_collector_failed", "broken"] == 1
+    assert values["tomosim_collector_failed", "disk"] == 0
+    assert values["tomosim_simulations", "queued"] == 0
 
 
 def test_openmetrics_where_asked_for(client):

@@ -42,14 +42,14 @@ NAMES = {
 def test_all_objects_and_the_study_pass(exported: Callable[[SmallCase], Path], options: dict[str, object]) -> None:
     case = make_case(**options)  # type: ignore[arg-type]
     folder = exported(case)
-    found = check.verdicts(sorted(folder.rglob("*.dcm")))
-    assert [str(v) for v in found if not v.ok or v.warnings] == []
-    names = {v.file.relative_to(folder).as_posix(): v.object_name for v in found if v.file is not None}
+    verdicts = check.verdicts(sorted(folder.rglob("*.dcm")))
+    assert [str(v) for v in verdicts if not v.ok or v.warnings] == []
+    names = {v.file.relative_to(folder).as_posix(): v.object_name for v in verdicts if v.file is not None}
     expected = {
         name for name in NAMES if case.spec.extra_objects or (NAMES[name] in BASIC and name != "synthetic_2d.dcm")
     }
     assert {name: names[name] for name in NAMES if name in names} == {name: NAMES[name] for name in expected}
-    assert len(found) == len(list(folder.rglob("*.dcm"))) + 1
+    assert len(verdicts) == len(list(folder.rglob("*.dcm"))) + 1
 
 
 def _spoiled(folder: Path, name: str, change: Callable[[Dataset], None]) -> Path:
@@ -137,8 +137,8 @@ def test_what_is_known_of_the_exposure_is_written(tmp_path: Path) -> None:
     )
     case = make_case(views=4)
     replace(case, case=replace(case.case, exposure=exposure)).export(tmp_path)
-    found = check.verdicts(sorted(tmp_path.rglob("*.dcm")))
-    assert [str(v) for v in found if not v.ok or v.warnings] == []
+    verdicts = check.verdicts(sorted(tmp_path.rglob("*.dcm")))
+    assert [str(v) for v in verdicts if not v.ok or v.warnings] == []
     one = pydicom.dcmread(tmp_path / "projections/0002.dcm")
     assert (one.KVP, one.AnodeTargetMaterial, one.FilterMaterial, one.FilterType) == (28, "TUNGSTEN", "RHODIUM", "FLAT")
     assert (one.FilterThicknessMinimum, one.HalfValueLayer) == (0.05, 0.52)

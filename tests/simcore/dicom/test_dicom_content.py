@@ -32,9 +32,9 @@ def labels_by_definition(case: SmallCase) -> NDArray[np.uint8]:
     for k, z in enumerate(grid.centres("z")):
         for j, y in enumerate(grid.centres("y")):
             for i, x in enumerate(grid.centres("x")):
-                found = [int(np.floor((p - c) / s)) for p, c, s in zip((x, y, z), source.corner, source.spacing)]  # noqa: B905
-                if all(0 <= f < n for f, n in zip(found[::-1], source.shape)):  # noqa: B905
-                    out[k, j, i] = case.phantom.labels[found[2], found[1], found[0]]
+                index = [int(np.floor((p - c) / s)) for p, c, s in zip((x, y, z), source.corner, source.spacing)]  # noqa: B905
+                if all(0 <= f < n for f, n in zip(index[::-1], source.shape)):  # noqa: B905
+                    out[k, j, i] = case.phantom.labels[index[2], index[1], index[0]]
     return out
 
 

@@ -74,8 +74,8 @@ def test_private_schemas_and_codes_are_those_stated(case_and_folder: tuple[Small
     files = datasets(folder / "case")
     make_case().export(folder / "all tissues")
     files += datasets(folder / "all tissues")
-    found = {json.loads(d.private_block(0x0099, "TOMOSIM 1")[0x01].value)["schema"] for d in files}
-    assert set(re.findall(r"`(tomosim-[a-z0-9-]+/1)`", text)) == found
+    schemas = {json.loads(d.private_block(0x0099, "TOMOSIM 1")[0x01].value)["schema"] for d in files}
+    assert set(re.findall(r"`(tomosim-[a-z0-9-]+/1)`", text)) == schemas
     codes: set[str] = set()
 
     def visit(dataset: Dataset, element: DataElement) -> None:

@@ -40,7 +40,7 @@ def owner_by_definition(case: SmallCase) -> dict[str, set[tuple[int, int, int]]]
     """The voxels of the volume of each lesion, one phantom voxel and one volume voxel at a time."""
     grid, volume = case.phantom.grid.moved(z=22.0), case.volume.grid
     leaves = [e for e in case.phantom.truth if "parts" not in e]
-    found: dict[str, set[tuple[int, int, int]]] = {}
+    owners: dict[str, set[tuple[int, int, int]]] = {}
 
     def owner(point: NDArray[np.float64], tissue: str) -> str:
         near = [e for e in leaves if e["tissue"] == tissue]
@@ -55,13 +55,13 @@ def owner_by_definition(case: SmallCase) -> dict[str, set[tuple[int, int, int]]]
         of_voxel[int(k), int(j), int(i)] = name
         index = np.floor((point - volume.corner) / volume.spacing).astype(int)[::-1]
         if np.all(index >= 0) and np.all(index < volume.shape):
-            found.setdefault(name, set()).add(tuple(int(n) for n in index))
+            owners.setdefault(name, set()).add(tuple(int(n) for n in index))
     for index in np.ndindex(*volume.shape):
         point = np.array([volume.centres(axis)[n] for axis, n in zip("xyz", index[::-1], strict=True)])
         source = tuple(int(n) for n in np.floor((point - grid.corner) / grid.spacing).astype(int)[::-1])
         if source in of_voxel:
-            found[of_voxel[source]].add(index)
-    return found
+            owners[of_voxel[source]].add(index)
+    return owners
 
 
 def test_every_extra_has_its_writer() -> None:
@@ -75,7 +75,7 @@ def test_lesion_segments(case_and_folder: tuple[SmallCase, Path]) -> None:
     d = pydicom.dcmread(folder / "lesions.dcm")
     labels = [s.SegmentLabel for s in d.SegmentSequence]
     assert labels == ["mass-1", "mass-2", "calcifications-1"]
-    found: dict[str, set[tuple[int, int, int]]] = {label: set() for label in labels}
+    segments: dict[str, set[tuple[int, int, int]]] = {label: set() for label in labels}
     heights = {
         tuple(f.PlanePositionSequence[0].ImagePositionPatient): k
         for k, f in enumerate(pydicom.dcmread(folder / "tomosynthesis.dcm").PerFrameFunctionalGroupsSequence)
@@ -85,10 +85,10 @@ def test_lesion_segments(case_and_folder: tuple[SmallCase, Path]) -> None:
         k = heights[tuple(groups.PlanePositionSequence[0].ImagePositionPatient)]
         source = groups.DerivationImageSequence[0].SourceImageSequence[0]
         assert source.ReferencedFrameNumber == k + 1
-        found[label] |= {(k, int(j), int(i)) for j, i in np.argwhere(frame)}
-    assert found == expected
+        segments[label] |= {(k, int(j), int(i)) for j, i in np.argwhere(frame)}
+    assert segments == expected
     # A calcification of one voxel, 2 mm high, lies between the centres of slices 5 mm apart.
-    assert len({k for k, _, _ in found["calcifications-1"]}) == 2
+    assert len({k for k, _, _ in segments["calcifications-1"]}) == 2
 
 
 def test_highdicom_reads_the_segmentation(case_and_folder: tuple[SmallCase, Path]) -> None:
@@ -138,7 +138,7 @@ def test_report(case_and_folder: tuple[SmallCase, Path]) -> None:
     report = highdicom.sr.srread(folder / "report.dcm")
     segments = pydicom.dcmread(folder / "lesions.dcm").SegmentSequence
     groups = report.content.get_volumetric_roi_measurement_groups()
-    found = []
+    numbers = []
     for group, segment in zip(groups, segments, strict=True):
         assert group.tracking_uid == segment.TrackingUID
         assert group.tracking_identifier == segment.TrackingID
@@ -154,9 +154,9 @@ def test_report(case_and_folder: tuple[SmallCase, Path]) -> None:
         assert measured.unit.value == "mm3"
         value = measured[0].MeasuredValueSequence[0]
         assert float(value.NumericValue) == value.FloatingPointValue
-        found.append(measured.value)
+        numbers.append(measured.value)
     # Voxels of 8 mm3: 4 x 4 x 4, 2 x 2 x 2, and two.
-    assert found == pytest.approx([512.0, 64.0, 16.0])
+    assert numbers == pytest.approx([512.0, 64.0, 16.0])
 
 
 def test_views_for_presentation(case_and_folder: tuple[SmallCase, Path]) -> None:
@@ -354,8 +354,8 @@ def test_a_mass_around_its_own_centre_and_one_that_broke_off() -> None:
         {"id": "c", "tissue": "mass", "centre_mm": [9.0, 11.0, 2.5], "size_mm": [18.0, 18.0, 1.0]},
         {"id": "block", "tissue": "mass", "centre_mm": [26.5, 26.5, 2.5], "size_mm": [3.0, 3.0, 1.0]},
     ]
-    found = voxels_by_name(labels, entries)
-    assert found == {"c": 18 * 18 - 12 * 15 + 1, "block": 9}
+    counts = voxels_by_name(labels, entries)
+    assert counts == {"c": 18 * 18 - 12 * 15 + 1, "block": 9}
 
 
 def test_segments_that_no_element_holds(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

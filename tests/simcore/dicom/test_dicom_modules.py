@@ -41,15 +41,15 @@ def holders(dataset: Dataset, path: list[str]) -> Iterator[Dataset]:
 
 def lacking(dataset: Dataset) -> list[str]:
     """Attributes that should be there, or should have a value."""
-    found = []
+    lines = []
     iod = get_sop_class_iod_map()[dataset.SOPClassUID]
     for module in get_iod_module_map()[iod]:
         if module["usage"] != "M" or module["key"] in TREES:
             continue
         for attribute in get_module_attribute_map()[module["key"]]:
             if attribute["type"] in ("1", "2"):
-                found += _lacking(dataset, attribute)
-    return sorted(set(found))
+                lines += _lacking(dataset, attribute)
+    return sorted(set(lines))
 
 
 def _lacking(dataset: Dataset, attribute: dict[str, Any]) -> Iterator[str]:
@@ -89,6 +89,6 @@ def test_the_check_sees_what_is_missing(folder: Path) -> None:
     dataset.PatientID = ""
     dataset.Manufacturer = ""
     del dataset.SharedFunctionalGroupsSequence[0].PixelMeasuresSequence[0].SliceThickness
-    found = lacking(dataset)
-    assert found[0] == "Manufacturer (type 1) is empty"
-    assert found[-1] == "VolumetricProperties (type 1) is missing"
+    lines = lacking(dataset)
+    assert lines[0] == "Manufacturer (type 1) is empty"
+    assert lines[-1] == "VolumetricProperties (type 1) is missing"

@@ -31,10 +31,10 @@ POSITIONS = [("L", "CC", 0.0), ("R", "CC", 0.0), ("L", "MLO", -45.0), ("R", "MLO
 
 def _acquisitions() -> dict[AcquisitionSpec, str]:
     """Each acquisition once: many presets share theirs."""
-    found: dict[AcquisitionSpec, str] = {}
+    names: dict[AcquisitionSpec, str] = {}
     for name in presets.names():
-        found.setdefault(presets.get(name).acquisition, name)
-    return found
+        names.setdefault(presets.get(name).acquisition, name)
+    return names
 
 
 ACQUISITIONS = _acquisitions()
@@ -124,9 +124,9 @@ def test_every_object_of_every_preset_conforms(
     tmp_path: Path, acquisition: AcquisitionSpec, laterality: str, view: str, tilt: float
 ) -> None:
     small(acquisition, laterality, view, extras=ALL_EXTRAS).export(tmp_path)
-    found = check.verdicts(sorted(tmp_path.rglob("*.dcm")))
-    assert [str(v) for v in found if not v.ok or v.warnings] == []
-    assert {v.object_name for v in found} >= {"ParametricMap", "CTImage", "Comprehensive3DSR", "Segmentation"}
+    verdicts = check.verdicts(sorted(tmp_path.rglob("*.dcm")))
+    assert [str(v) for v in verdicts if not v.ok or v.warnings] == []
+    assert {v.object_name for v in verdicts} >= {"ParametricMap", "CTImage", "Comprehensive3DSR", "Segmentation"}
 
 
 def towards_source(single: Dataset) -> Vector:

@@ -151,8 +151,8 @@ def test_pydbt_sees_what_was_projected(tmp_path: Path, monkeypatch: pytest.Monke
             inside = (row[:, None] >= 0) & (row[:, None] < geo["nv"]) & (column >= 0) & (column < geo["nu"])
             total[k] += np.where(inside, proj[row.clip(0, 63)[:, None], column.clip(0, 47), p], 0.0)
     best = np.argwhere(total == total.max()).mean(axis=0)
-    held = (bead - grid.corner) / grid.spacing - 0.5
-    assert np.all(np.abs(best[::-1] - held) <= 1.0)
+    place = (bead - grid.corner) / grid.spacing - 0.5
+    assert np.all(np.abs(best[::-1] - place) <= 1.0)
 
 
 # --- ITK

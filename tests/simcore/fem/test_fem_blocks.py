@@ -58,5 +58,5 @@ def test_the_pattern_holds_every_pair_of_corners_once() -> None:
     assert stored == sorted(pairs)
     assert (pattern.column[pattern.row_start[:-1]] == np.arange(count)).all()
     for tet, places in zip(tets, pattern.block_of, strict=True):
-        wanted = [(int(tet[i]), int(tet[j])) for i in range(4) for j in range(i, 4)]
-        assert [stored[k] for k in places] == wanted
+        corners = [(int(tet[i]), int(tet[j])) for i in range(4) for j in range(i, 4)]
+        assert [stored[k] for k in places] == corners

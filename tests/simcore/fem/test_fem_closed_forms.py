@@ -121,9 +121,9 @@ def assembled(model: Model, u: Floats, p: Floats) -> tuple[Floats, Floats, tuple
     """(force, volume residual, tangent blocks)"""
     system = model.system()
     assert model.assemble(u, p, system) > 0.3
-    wanted = model.node_volume * model.volume_ratio_of_pressure(p)[0]
+    target = model.node_volume * model.volume_ratio_of_pressure(p)[0]
     blocks = (system.stiffness, system.coupling_upper, system.coupling_lower)
-    return system.force, system.node_volume - wanted, blocks
+    return system.force, system.node_volume - target, blocks
 
 
 def test_tangent_is_the_derivative_of_the_force() -> None:

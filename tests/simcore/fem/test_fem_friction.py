@@ -22,13 +22,13 @@ ANY_PHANTOM = Phantom(np.ones((1, 1, 1), np.uint8), Grid((1, 1, 1), (1.0, 1.0, 1
 C_CUP = (92.1, 60.2, 67.3, 53.1)
 
 
-def solved(mesh: TetMesh, coefficient: float | None, percent: float, load_steps: int, held: np.ndarray) -> Solution:
+def solved(mesh: TetMesh, coefficient: float | None, percent: float, load_steps: int, anchors: np.ndarray) -> Solution:
     fixed = np.zeros(mesh.nodes.shape, dtype=bool)
     fixed[mesh.wall, 0] = True
-    fixed[held, :2] = True
+    fixed[anchors, :2] = True
     model = Model.of(mesh, ElementLaws.homogeneous(NeoHookean().law(), len(mesh.tets)))
     friction = None if coefficient is None else Friction(coefficient)
-    guard = Guard.none() if len(held) else Guard.against_roll(mesh.nodes, mesh.wall)
+    guard = Guard.none() if len(anchors) else Guard.against_roll(mesh.nodes, mesh.wall)
     solver = Solver(model, fixed, guard, 1e-6, friction)
     return follow(solver, Contact.none(mesh.skin, len(mesh.nodes)), Target(percent), load_steps)
 

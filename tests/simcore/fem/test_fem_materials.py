@@ -259,11 +259,11 @@ def test_principal_axes_of_close_and_far_values() -> None:
         values = np.exp(spread * np.array([0.3, -1.0, 0.9]))
         matrix = basis * values @ basis.T
         matrix = (matrix + matrix.T) / 2
-        found, axes = np.empty(3), np.empty((3, 3))
-        principal_axes(matrix.copy(), found, axes)
-        assert np.sort(found) == pytest.approx(np.sort(values), rel=1e-13)
+        principal, axes = np.empty(3), np.empty((3, 3))
+        principal_axes(matrix.copy(), principal, axes)
+        assert np.sort(principal) == pytest.approx(np.sort(values), rel=1e-13)
         assert axes @ axes.T == pytest.approx(np.eye(3), abs=1e-14)
-        assert (axes * found) @ axes.T == pytest.approx(matrix, abs=1e-13 * values.max())
+        assert (axes * principal) @ axes.T == pytest.approx(matrix, abs=1e-13 * values.max())
 
 
 def test_st_venant_kirchhoff_follows_its_curve_up_to_its_limit_and_no_further() -> None:

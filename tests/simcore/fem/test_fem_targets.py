@@ -220,14 +220,14 @@ def test_a_fixed_wall_keeps_its_place_and_stiffens() -> None:
     mesh = half_ellipsoid(C_CUP, 8)
     spec = CompressionSpec(percent=25.0)
     free = compress(mesh, ANY_PHANTOM, spec)
-    held = compress(mesh, ANY_PHANTOM, spec.with_(chest_wall="fixed"))
-    assert (held.displacement[mesh.wall] == 0).all()
-    assert held.report["min_det_F"] > 0
+    solution = compress(mesh, ANY_PHANTOM, spec.with_(chest_wall="fixed"))
+    assert (solution.displacement[mesh.wall] == 0).all()
+    assert solution.report["min_det_F"] > 0
     away = mesh.nodes[:, 0] >= spec.plate_edge_mm
-    height = (mesh.nodes + held.displacement)[away, 2]
-    assert held.plate_z == pytest.approx((height.min(), height.max()), abs=1e-5)
+    height = (mesh.nodes + solution.displacement)[away, 2]
+    assert solution.plate_z == pytest.approx((height.min(), height.max()), abs=1e-5)
     # Less area under the plates near the wall against more constraint.
-    assert 0.5 * free.force_N < held.force_N < 2 * free.force_N
+    assert 0.5 * free.force_N < solution.force_N < 2 * free.force_N
 
 
 def test_the_force_at_a_fixed_wall_converges_where_the_plates_have_an_edge() -> None:

@@ -61,8 +61,8 @@ def test_one_thread_does_all() -> None:
 def test_a_long_wait_breaks_the_team_up_and_the_caller_goes_on() -> None:
     values = np.stack([np.random.default_rng(1).normal(size=4000)] * 2)
     expected, numbers = smoothed_alone(values[0]), tickets()
-    held = begin(numbers, PARTS, PATIENT, False)
-    assert tuple(held) == (0, 0)
+    counts = begin(numbers, PARTS, PATIENT, False)
+    assert tuple(counts) == (0, 0)
     left: list[tuple[int, int]] = []
     caller = threading.Thread(target=lambda: left.append(tuple(smooth(numbers, 1000, True, values))))
     caller.start()

@@ -65,8 +65,8 @@ def test_small_strain_stress_is_hookes_law(tmp_path: Path, mesh: TetMesh, phanto
     strain = (gradient + gradient.T) / 2
     lame = 50 * 0.4 / (1.4 * 0.2)
     stress = lame * np.trace(strain) * np.eye(3) + 50 / 1.4 * strain
-    found = meshio.read(tmp_path / "mesh.vtu").cell_data["cauchy_stress_kPa"][0].reshape(-1, 3, 3)
-    assert np.abs(found - stress).max() < 1e-4 * np.abs(stress).max()
+    written = meshio.read(tmp_path / "mesh.vtu").cell_data["cauchy_stress_kPa"][0].reshape(-1, 3, 3)
+    assert np.abs(written - stress).max() < 1e-4 * np.abs(stress).max()
 
 
 def test_stress_and_strain_of_a_general_gradient(tmp_path: Path, mesh: TetMesh, phantom: Phantom) -> None:
@@ -81,8 +81,8 @@ def test_stress_and_strain_of_a_general_gradient(tmp_path: Path, mesh: TetMesh, 
     stress = law.shear * J ** (-5 / 3) * (left - np.trace(left) / 3 * np.eye(3)) + law.bulk / 2 * (J - 1 / J) * np.eye(
         3
     )
-    found = fields["cauchy_stress_kPa"][0].reshape(-1, 3, 3)
-    assert np.abs(found - stress).max() < 1e-5 * np.abs(stress).max()
+    written = fields["cauchy_stress_kPa"][0].reshape(-1, 3, 3)
+    assert np.abs(written - stress).max() < 1e-5 * np.abs(stress).max()
     strain = (F.T @ F - np.eye(3)) / 2
     assert np.abs(fields["green_lagrange_strain"][0].reshape(-1, 3, 3) - strain).max() < 1e-5
 

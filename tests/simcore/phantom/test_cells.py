@@ -114,16 +114,16 @@ def test_seeds_dropped_for_a_box_neither_win_nor_draw_a_ligament_in_it() -> None
 
 def test_survey_equals_every_seed_at_every_point_and_region_growing_up_to_connectivity() -> None:
     _, shape, cells = grown(volume_ml=12.0, voxel_mm=1.0, compartments=CompartmentSpec(count=40))
-    found = survey(shape, PLAIN, cells.table, cells.gland_seeds, 0.4)
+    cover = survey(shape, PLAIN, cells.table, cells.gland_seeds, 0.4)
     inside, points = tissue_points(shape)
     delay, _ = oracles.delays(cells.table, points)
     order = np.sort(delay, axis=1)
     clear = order[:, 1] - order[:, 0] > 1e-4
-    np.testing.assert_array_equal(found.first[clear], delay.argmin(axis=1)[clear])
+    np.testing.assert_array_equal(cover.first[clear], delay.argmin(axis=1)[clear])
     regions = oracles.grow_regions(cells.table, shape.grid, inside)[inside]
     # Growing stops at whoever was there first; the arg-max reaches behind him. With seeds that differ in size and
     # direction, few voxels lie behind another cell.
-    assert np.mean(regions == found.first) > 0.985
+    assert np.mean(regions == cover.first) > 0.985
 
 
 def test_ligaments_hold_those_of_the_two_largest_and_little_more() -> None:
@@ -199,11 +199,11 @@ def test_textured_labels_equal_every_seed_at_every_displaced_voxel(ligament_mm: 
     assert np.count_nonzero(differ) < 1e-4 * len(points)
     assert np.mean(labels[inside] != label(spec, shape, cells)[inside]) > 0.05  # it does something
     # The survey sees the same cells, so that the glandularity is met.
-    found = survey(shape, modulation, cells.table, cells.gland_seeds, ligament_mm)
+    cover = survey(shape, modulation, cells.table, cells.gland_seeds, ligament_mm)
     delay, _ = oracles.delays(cells.table, displaced_points(modulation, points))
     order = np.sort(delay, axis=1)
     clear = order[:, 1] - order[:, 0] > 1e-4
-    np.testing.assert_array_equal(found.first[clear], delay.argmin(axis=1)[clear])
+    np.testing.assert_array_equal(cover.first[clear], delay.argmin(axis=1)[clear])
 
 
 def test_textured_labels_equal_every_seed_where_blocks_are_smaller_than_bumps() -> None:

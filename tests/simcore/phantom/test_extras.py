@@ -112,10 +112,10 @@ def test_ducts_are_trees_from_the_nipple_to_the_gland(full: Phantom) -> None:
     assert 0.8 * ducts.trees * 2**ducts.generations < len(tips) <= ducts.trees * 2**ducts.generations
     whole = generate(FULL.with_(ducts=None, lesions=()), 2)
     index = np.floor((tips - whole.grid.corner) / whole.grid.spacing).astype(int)
-    found = whole.labels[tuple(index[:, ::-1].T)]
+    tissues = whole.labels[tuple(index[:, ::-1].T)]
     # Up to half a voxel lies between a tip and the centre of its voxel.
-    assert np.mean(np.isin(found, (Tissue.GLAND, Tissue.LIGAMENT))) > 0.95
-    assert np.mean(found == Tissue.GLAND) > 0.85
+    assert np.mean(np.isin(tissues, (Tissue.GLAND, Tissue.LIGAMENT))) > 0.95
+    assert np.mean(tissues == Tissue.GLAND) > 0.85
     # Radii fall from the nipple to the tips.
     assert breast.ducts[:, 3].max() == np.float32(ducts.main_diameter_mm / 2)
     assert breast.ducts[:, 7].min() == pytest.approx(ducts.terminal_diameter_mm / 2)

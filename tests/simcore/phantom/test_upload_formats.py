@@ -20,8 +20,8 @@ from simcore.phantom.upload.reading import RawHeader, Reading
 from simcore.phantom.upload.values import labels_of
 
 _spec = importlib.util.spec_from_file_location("upload_files", Path(__file__).with_name("upload_files.py"))
-made = importlib.util.module_from_spec(_spec)
-_spec.loader.exec_module(made)
+files = importlib.util.module_from_spec(_spec)
+_spec.loader.exec_module(files)
 
 OURS = ("+z", "+y", "+x")
 RANDOM = np.random.default_rng(0).integers(0, 127, (5, 6, 7))
@@ -39,13 +39,13 @@ def read(data: bytes) -> tuple[Header, np.ndarray]:
 
 
 WRITERS: dict[str, Callable[[np.ndarray], bytes]] = {
-    "nrrd raw": lambda v: made.as_nrrd(v, encoding="raw"),
-    "nrrd gzip": made.as_nrrd,
-    "nrrd bzip2": lambda v: made.as_nrrd(v, encoding="bzip2"),
-    "mha": lambda v: made.as_metaimage(v, packed=False),
-    "mha zlib": made.as_metaimage,
-    "nii": lambda v: made.as_nifti(v, packed=False),
-    "nii.gz": made.as_nifti,
+    "nrrd raw": lambda v: files.as_nrrd(v, encoding="raw"),
+    "nrrd gzip": files.as_nrrd,
+    "nrrd bzip2": lambda v: files.as_nrrd(v, encoding="bzip2"),
+    "mha": lambda v: files.as_metaimage(v, packed=False),
+    "mha zlib": files.as_metaimage,
+    "nii": lambda v: files.as_nifti(v, packed=False),
+    "nii.gz": files.as_nifti,
 }
 
 
@@ -63,7 +63,7 @@ def test_every_format_gives_back_shape_spacing_and_voxels(name: str, dtype: str)
 
 def test_large_files_come_in_pieces_and_gzip_in_several_members() -> None:
     labels = np.random.default_rng(1).integers(0, 255, (40, 300, 250)).astype("u1")
-    data = made.as_nrrd(labels, encoding="raw")
+    data = files.as_nrrd(labels, encoding="raw")
     head = data[: len(data) - labels.size].replace(b"encoding: raw", b"encoding: gzip")
     members = b"".join(gzip.compress(part.tobytes()) for part in np.array_split(labels, 3))
     file = io.BytesIO(head + members)
@@ -88,11 +88,12 @@ def test_orientation_of_the_patient_becomes_our_axes(name: str) -> None:
     labels = RANDOM.astype("u1")
     d = np.array(directions, float)
     vectors = " ".join("(" + ",".join(map(str, row * s)) + ")" for row, s in zip(d, (0.1, 0.2, 0.3), strict=True))
-    nrrd = made.as_nrrd(labels, more=f"space directions: {vectors}\nspace: left-posterior-superior", without="spacings")
-    meta = made.as_metaimage(labels, more="TransformMatrix = " + " ".join(map(str, d.ravel())), without="TransformM")
+    space = f"space directions: {vectors}\nspace: left-posterior-superior"
+    nrrd = files.as_nrrd(labels, more=space, without="spacings")
+    meta = files.as_metaimage(labels, more="TransformMatrix = " + " ".join(map(str, d.ravel())), without="TransformM")
     ras = np.eye(4)
     ras[:3, :3] = (d * [-1, -1, 1]).T * [0.1, 0.2, 0.3]
-    nifti = made.as_nifti(labels, affine=ras)
+    nifti = files.as_nifti(labels, affine=ras)
     for data in (nrrd, meta, nifti):
         header, voxels = read(data)
         # A unit matrix means nothing in NRRD and MetaImage; NIfTI says that it is that of the patient.
@@ -103,13 +104,13 @@ def test_orientation_of_the_patient_becomes_our_axes(name: str) -> None:
 
 def test_orientation_of_a_nifti_by_its_quaternion() -> None:
     # A quarter turn about z: the first axis leads to A, the second to L (-R), the third to S.
-    data = made.as_nifti(RANDOM.astype("u1"), quaternion=(0.0, 0.0, np.sqrt(0.5)))
+    data = files.as_nifti(RANDOM.astype("u1"), quaternion=(0.0, 0.0, np.sqrt(0.5)))
     assert read(data)[0].axes == ("+z", "+y", "+x")
-    assert read(made.as_nifti(RANDOM.astype("u1"), quaternion=(0.0, 0.0, 0.0)))[0].axes == ("+z", "+x", "-y")
+    assert read(files.as_nifti(RANDOM.astype("u1"), quaternion=(0.0, 0.0, 0.0)))[0].axes == ("+z", "+x", "-y")
 
 
 def test_lengths_in_metres_become_millimetres() -> None:
-    assert read(made.as_nifti(RANDOM.astype("u1"), spacing=(3e-4, 2e-4, 1e-4), units=1))[0].spacing_mm == (
+    assert read(files.as_nifti(RANDOM.astype("u1"), spacing=(3e-4, 2e-4, 1e-4), units=1))[0].spacing_mm == (
         0.3,
         0.2,
         0.1,
@@ -121,34 +122,34 @@ REFUSED = {
     "text": (b"hello world, this is no volume" * 20, "no NRRD, MetaImage or NIfTI"),
     "gzip of anything": (gzip.compress(b"some voxels" * 100), "raw voxels need a header"),
     "nrrd without end": (b"NRRD0004\ntype: uchar\n", "no end"),
-    "nrrd without sizes": (made.as_nrrd(RANDOM.astype("u1"), without="sizes"), "no 'sizes'"),
-    "nrrd of floats": (made.as_nrrd(RANDOM + 0.5), "no whole number"),
-    "nrrd with an odd encoding": (made.as_nrrd(RANDOM.astype("u1"), more="encoding: hex"), "raw, gzip or bzip2"),
-    "nrrd in two files": (made.as_nrrd(RANDOM.astype("u1"), more="data file: a.raw"), "another file"),
-    "nrrd, dimension": (made.as_nrrd(RANDOM.astype("u1"), more="dimension: 4"), "differ"),
-    "nrrd of two axes": (made.as_nrrd(RANDOM.astype("u1"), more="dimension: 2\nsizes: 7 6"), "a volume has 3"),
-    "nrrd, sizes": (made.as_nrrd(RANDOM.astype("u1"), more="sizes: 7 6 x"), "'x' is no number"),
-    "nrrd, a broken size": (made.as_nrrd(RANDOM.astype("u1"), more="sizes: 7 6 5.5"), "no whole number"),
-    "nrrd of no size": (made.as_nrrd(RANDOM.astype("u1"), more="sizes: 7 0 5"), "from 1 to"),
-    "nrrd, spacing": (made.as_nrrd(RANDOM.astype("u1"), spacing=(0, 1, 1)), "above 0"),
-    "nrrd, endian": (made.as_nrrd(RANDOM.astype("<u2"), without="endian"), "no 'endian'"),
-    "nrrd, skip": (made.as_nrrd(RANDOM.astype("u1"), more="byte skip: -1"), "byte skip"),
+    "nrrd without sizes": (files.as_nrrd(RANDOM.astype("u1"), without="sizes"), "no 'sizes'"),
+    "nrrd of floats": (files.as_nrrd(RANDOM + 0.5), "no whole number"),
+    "nrrd with an odd encoding": (files.as_nrrd(RANDOM.astype("u1"), more="encoding: hex"), "raw, gzip or bzip2"),
+    "nrrd in two files": (files.as_nrrd(RANDOM.astype("u1"), more="data file: a.raw"), "another file"),
+    "nrrd, dimension": (files.as_nrrd(RANDOM.astype("u1"), more="dimension: 4"), "differ"),
+    "nrrd of two axes": (files.as_nrrd(RANDOM.astype("u1"), more="dimension: 2\nsizes: 7 6"), "a volume has 3"),
+    "nrrd, sizes": (files.as_nrrd(RANDOM.astype("u1"), more="sizes: 7 6 x"), "'x' is no number"),
+    "nrrd, a broken size": (files.as_nrrd(RANDOM.astype("u1"), more="sizes: 7 6 5.5"), "no whole number"),
+    "nrrd of no size": (files.as_nrrd(RANDOM.astype("u1"), more="sizes: 7 0 5"), "from 1 to"),
+    "nrrd, spacing": (files.as_nrrd(RANDOM.astype("u1"), spacing=(0, 1, 1)), "above 0"),
+    "nrrd, endian": (files.as_nrrd(RANDOM.astype("<u2"), without="endian"), "no 'endian'"),
+    "nrrd, skip": (files.as_nrrd(RANDOM.astype("u1"), more="byte skip: -1"), "byte skip"),
     "oblique": (
-        made.as_nrrd(
+        files.as_nrrd(
             RANDOM.astype("u1"), more="space: LPS\nspace directions: (.8,.6,0) (-.6,.8,0) (0,0,1)", without="spacings"
         ),
         "not parallel",
     ),
     "mha without its last tag": (b"ObjectType = Image\nNDims = 3\n", "no ElementDataFile"),
-    "mha of floats": (made.as_metaimage(RANDOM + 0.5), "no whole number"),
-    "mha in two files": (made.as_metaimage(RANDOM.astype("u1"), data_file="a.raw"), r"another file, 'a\.raw'"),
-    "mha as text": (made.as_metaimage(RANDOM.astype("u1"), more="BinaryData = False"), "binary form"),
-    "mha of colours": (made.as_metaimage(RANDOM.astype("u1"), more="ElementNumberOfChannels = 3"), "Channels = 3"),
-    "nifti of floats": (made.as_nifti(RANDOM + 0.5), "no whole number"),
-    "nifti of complex numbers": (made.as_nifti(RANDOM.astype("u1"), code=32), "datatype = 32"),
-    "nifti, scaled": (made.as_nifti(RANDOM.astype("u1"), slope=0.3), r"scl_slope = 0\.3.* nibabel\.save"),
+    "mha of floats": (files.as_metaimage(RANDOM + 0.5), "no whole number"),
+    "mha in two files": (files.as_metaimage(RANDOM.astype("u1"), data_file="a.raw"), r"another file, 'a\.raw'"),
+    "mha as text": (files.as_metaimage(RANDOM.astype("u1"), more="BinaryData = False"), "binary form"),
+    "mha of colours": (files.as_metaimage(RANDOM.astype("u1"), more="ElementNumberOfChannels = 3"), "Channels = 3"),
+    "nifti of floats": (files.as_nifti(RANDOM + 0.5), "no whole number"),
+    "nifti of complex numbers": (files.as_nifti(RANDOM.astype("u1"), code=32), "datatype = 32"),
+    "nifti, scaled": (files.as_nifti(RANDOM.astype("u1"), slope=0.3), r"scl_slope = 0\.3.* nibabel\.save"),
     "nifti in two files": (
-        made.as_nifti(RANDOM.astype("u1"), packed=False).replace(b"n+1\0", b"ni1\0"),
+        files.as_nifti(RANDOM.astype("u1"), packed=False).replace(b"n+1\0", b"ni1\0"),
         "second file",
     ),
 }
@@ -195,7 +196,7 @@ def test_a_bomb_is_never_unpacked_beyond_what_its_header_announces(monkeypatch: 
         def __getattr__(self, name: str) -> object:
             return getattr(self.inner, name)
 
-    data = made.as_nrrd(np.zeros((2000, 200, 200), "u1")).replace(b"200 200 2000", b"200 200 30")
+    data = files.as_nrrd(np.zeros((2000, 200, 200), "u1")).replace(b"200 200 2000", b"200 200 30")
     monkeypatch.setattr("simcore.phantom.upload.formats.decoding.zlib.decompressobj", Counting)
     with pytest.raises(SpecError, match="holds more"):
         read(data)
@@ -239,15 +240,15 @@ def joined(path: Path) -> bytes:
 def test_a_header_and_the_voxels_beside_it_become_one_file(tmp_path: Path, dtype: str) -> None:
     labels = RANDOM.astype(dtype)
     raw = labels.tobytes()
-    files = {"a.raw": raw, "a.zraw": zlib.compress(raw), "a.raw.gz": gzip.compress(raw)}
-    for name, data in files.items():
+    packed = {"a.raw": raw, "a.zraw": zlib.compress(raw), "a.raw.gz": gzip.compress(raw)}
+    for name, data in packed.items():
         (tmp_path / name).write_bytes(data)
-        (tmp_path / "a.mhd").write_bytes(made.as_metaimage(labels, packed=name == "a.zraw", data_file=name))
+        (tmp_path / "a.mhd").write_bytes(files.as_metaimage(labels, packed=name == "a.zraw", data_file=name))
         header, voxels = read(joined(tmp_path / "a.mhd"))
         assert (header.shape, header.spacing_mm) == ((5, 6, 7), (0.3, 0.2, 0.1))
         np.testing.assert_array_equal(voxels, RANDOM)
     for name in ("a.raw", "a.raw.gz"):
-        text = made.as_nrrd(labels, encoding="gzip" if name == "a.raw.gz" else "raw", more=f"data file: {name}")
+        text = files.as_nrrd(labels, encoding="gzip" if name == "a.raw.gz" else "raw", more=f"data file: {name}")
         head = text[: text.index(b"\n\n") + 1]  # without the empty line, which a detached header may lack
         (tmp_path / "a.nhdr").write_bytes(head)
         header, voxels = read(joined(tmp_path / "a.nhdr"))
@@ -261,7 +262,7 @@ def test_only_a_file_beside_the_header_is_taken_for_its_voxels(tmp_path: Path, n
     folder = tmp_path / "inner"
     folder.mkdir()
     (tmp_path / "a.raw").write_bytes(RANDOM.astype("u1").tobytes())
-    (folder / "a.mhd").write_bytes(made.as_metaimage(RANDOM.astype("u1"), data_file=name))
+    (folder / "a.mhd").write_bytes(files.as_metaimage(RANDOM.astype("u1"), data_file=name))
     with pytest.raises(SpecError, match=r"not beside it|one file is needed"):
         two_files(folder / "a.mhd")
 

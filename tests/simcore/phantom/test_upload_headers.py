@@ -29,11 +29,11 @@ from simcore.phantom.upload.values import labels_of
 from simcore.presets import get
 
 _spec = importlib.util.spec_from_file_location("upload_files", Path(__file__).with_name("upload_files.py"))
-made = importlib.util.module_from_spec(_spec)
-_spec.loader.exec_module(made)
+files = importlib.util.module_from_spec(_spec)
+_spec.loader.exec_module(files)
 
 RANDOM = np.random.default_rng(0).integers(0, 127, (5, 6, 7)).astype("u1")
-BREAST = made.half_breast()
+BREAST = files.half_breast()
 
 
 def head(data: bytes) -> Header:
@@ -66,70 +66,70 @@ def test_lengths_come_in_any_unit(unit: str) -> None:
     a, b, c = edges
     vectors = f"space directions: ({a},0,0) (0,{b},0) (0,0,{c})\nspace: LPS\nspace units: {quoted}"
     for data in (
-        made.as_nrrd(RANDOM, more=vectors, without="spacings"),
-        made.as_nrrd(RANDOM, more=f"spacings: {a} {b} {c}\nunits: {quoted}", without="spacings"),
-        made.as_nrrd(RANDOM, more=f"spacings: {a} {b} {c}\nspace units: {quoted}", without="spacings"),
-        made.as_metaimage(RANDOM, more=f"ElementSpacing = {a} {b} {c}\nDistanceUnits = {unit}", without="ElementSp"),
+        files.as_nrrd(RANDOM, more=vectors, without="spacings"),
+        files.as_nrrd(RANDOM, more=f"spacings: {a} {b} {c}\nunits: {quoted}", without="spacings"),
+        files.as_nrrd(RANDOM, more=f"spacings: {a} {b} {c}\nspace units: {quoted}", without="spacings"),
+        files.as_metaimage(RANDOM, more=f"ElementSpacing = {a} {b} {c}\nDistanceUnits = {unit}", without="ElementSp"),
     ):
         assert head(data).spacing_mm == pytest.approx((0.3, 0.2, 0.1))
     for code, name in ((0, ""), (1, "m"), (2, "mm"), (3, "um")):
         if name == unit:
-            data = made.as_nifti(RANDOM, spacing=(0.3 / scale, 0.2 / scale, 0.1 / scale), units=code)
+            data = files.as_nifti(RANDOM, spacing=(0.3 / scale, 0.2 / scale, 0.1 / scale), units=code)
             assert head(data).spacing_mm == pytest.approx((0.3, 0.2, 0.1))
 
 
 def test_a_strange_unit_and_two_at_once_are_refused_unless_the_size_is_given() -> None:
-    data = made.as_nrrd(RANDOM, more='units: "furlong" "furlong" "furlong"')
+    data = files.as_nrrd(RANDOM, more='units: "furlong" "furlong" "furlong"')
     assert "NRRD units = 'furlong' is no unit of length that is known (mm, cm, m, um, nm, in): give" in refusal(data)
     assert head(data).placed(spacing_mm=(1.0, 1.0, 1.0))[0] == (1.0, 1.0, 1.0)
-    assert "one for all axes is needed" in refusal(made.as_nrrd(RANDOM, more='units: "mm" "mm" "cm"'))
-    assert "DistanceUnits = 'mile'" in refusal(made.as_metaimage(RANDOM, more="DistanceUnits = mile"))
-    assert "xyzt_units = 5" in refusal(made.as_nifti(RANDOM, units=5))
+    assert "one for all axes is needed" in refusal(files.as_nrrd(RANDOM, more='units: "mm" "mm" "cm"'))
+    assert "DistanceUnits = 'mile'" in refusal(files.as_metaimage(RANDOM, more="DistanceUnits = mile"))
+    assert "xyzt_units = 5" in refusal(files.as_nifti(RANDOM, units=5))
 
 
 def test_directions_and_spacings_that_differ_are_refused() -> None:
     vectors = "space: LPS\nspace directions: (0.1,0,0) (0,0.2,0) (0,0,0.4)"
-    assert "spacings [0.1, 0.2, 0.3]: give spacing_mm" in refusal(made.as_nrrd(RANDOM, more=vectors))
+    assert "spacings [0.1, 0.2, 0.3]: give spacing_mm" in refusal(files.as_nrrd(RANDOM, more=vectors))
 
 
 @pytest.mark.parametrize("size", [100_000, 3_000_000])
 def test_headers_may_be_long(tmp_path: Path, size: int) -> None:
     comment = "\n".join(["# " + 98 * "x"] * (size // 100))
-    np.testing.assert_array_equal(labels(made.as_nrrd(RANDOM, more=comment)), RANDOM)
-    np.testing.assert_array_equal(labels(gzip.compress(made.as_nrrd(RANDOM, more=comment, encoding="raw"), 1)), RANDOM)
-    meta = made.as_metaimage(RANDOM, more="Comment = " + size * "x")
+    np.testing.assert_array_equal(labels(files.as_nrrd(RANDOM, more=comment)), RANDOM)
+    np.testing.assert_array_equal(labels(gzip.compress(files.as_nrrd(RANDOM, more=comment, encoding="raw"), 1)), RANDOM)
+    meta = files.as_metaimage(RANDOM, more="Comment = " + size * "x")
     np.testing.assert_array_equal(labels(meta), RANDOM)
     (tmp_path / "a.raw").write_bytes(RANDOM.tobytes())
-    header = made.as_nrrd(RANDOM, encoding="raw", more=comment + "\ndata file: a.raw")
+    header = files.as_nrrd(RANDOM, encoding="raw", more=comment + "\ndata file: a.raw")
     (tmp_path / "a.nhdr").write_bytes(header[: header.index(b"\n\n") + 2])
     assert two_files(tmp_path / "a.nhdr") is not None
 
 
 def test_lines_are_skipped_before_unpacking_and_bytes_after() -> None:
-    whole = made.as_nrrd(RANDOM, encoding="raw", more="line skip: 2\nbyte skip: 3")
+    whole = files.as_nrrd(RANDOM, encoding="raw", more="line skip: 2\nbyte skip: 3")
     start = whole[: len(whole) - RANDOM.size]
     np.testing.assert_array_equal(labels(start + b"one\ntwo\nabc" + RANDOM.tobytes()), RANDOM)
     for encoding, pack in (("gzip", gzip.compress), ("bzip2", bz2.compress)):
         packed = start.replace(b"encoding: raw", f"encoding: {encoding}".encode())
         np.testing.assert_array_equal(labels(packed + b"one\ntwo\n" + pack(b"abc" + RANDOM.tobytes())), RANDOM)
-    from_end = made.as_nrrd(RANDOM, encoding="raw", more="byte skip: -1")
+    from_end = files.as_nrrd(RANDOM, encoding="raw", more="byte skip: -1")
     start = from_end[: len(from_end) - RANDOM.size]
     np.testing.assert_array_equal(labels(start + 1000 * b"x" + RANDOM.tobytes()), RANDOM)
-    assert "only where encoding is raw" in refusal(made.as_nrrd(RANDOM, more="byte skip: -1"))
-    assert "byte skip = -2" in refusal(made.as_nrrd(RANDOM, encoding="raw", more="byte skip: -2"))
+    assert "only where encoding is raw" in refusal(files.as_nrrd(RANDOM, more="byte skip: -1"))
+    assert "byte skip = -2" in refusal(files.as_nrrd(RANDOM, encoding="raw", more="byte skip: -2"))
     with pytest.raises(SpecError, match="line 1 has no end"):
-        labels(made.as_nrrd(np.full_like(RANDOM, 5), encoding="raw", more="line skip: 1"))
+        labels(files.as_nrrd(np.full_like(RANDOM, 5), encoding="raw", more="line skip: 1"))
 
 
 def test_header_size_of_a_metaimage() -> None:
-    data = made.as_metaimage(RANDOM, packed=False, more="HeaderSize = -1")
+    data = files.as_metaimage(RANDOM, packed=False, more="HeaderSize = -1")
     np.testing.assert_array_equal(labels(data[: -RANDOM.size] + 99 * b"x" + RANDOM.tobytes()), RANDOM)
-    assert "HeaderSize = -1: 0, or from" in refusal(made.as_metaimage(RANDOM, more="HeaderSize = -1"))
-    assert "HeaderSize = -5" in refusal(made.as_metaimage(RANDOM, packed=False, more="HeaderSize = -5"))
+    assert "HeaderSize = -1: 0, or from" in refusal(files.as_metaimage(RANDOM, more="HeaderSize = -1"))
+    assert "HeaderSize = -5" in refusal(files.as_metaimage(RANDOM, packed=False, more="HeaderSize = -5"))
 
 
 def test_several_members_and_streams_wherever_a_piece_ends(monkeypatch: pytest.MonkeyPatch) -> None:
-    raw = made.as_nrrd(RANDOM, encoding="raw")
+    raw = files.as_nrrd(RANDOM, encoding="raw")
     start = raw[: len(raw) - RANDOM.size]
     parts = [RANDOM.tobytes()[:50], b"", RANDOM.tobytes()[50:]]
     for encoding, pack in (("gzip", gzip.compress), ("bzip2", bz2.compress)):
@@ -151,7 +151,7 @@ def test_a_plane_larger_than_a_piece_comes_in_rows(
 
     def load(voxels: np.ndarray, leading: tuple[str, str, str]) -> np.ndarray:
         spec = UploadedPhantom(sha256=64 * "0", shape=voxels.shape, spacing_mm=(1.0, 1.0, 1.0), axes=leading)
-        return phantom.load(spec, io.BytesIO(made.as_nrrd(voxels))).labels
+        return phantom.load(spec, io.BytesIO(files.as_nrrd(voxels))).labels
 
     expected = load(BREAST, ("+z", "+y", "+x"))
     monkeypatch.setattr(decoding, "PIECE", piece)
@@ -160,9 +160,9 @@ def test_a_plane_larger_than_a_piece_comes_in_rows(
 
 def test_slopes_that_give_whole_numbers_are_taken() -> None:
     for stored, slope in ((RANDOM * 2.0, 0.5), (RANDOM * 10.0, 0.1), (RANDOM * 1.0, float("nan")), (RANDOM * 1.0, 0.0)):
-        np.testing.assert_array_equal(labels(made.as_nifti(stored.astype("<i4"), slope=slope)), RANDOM)
+        np.testing.assert_array_equal(labels(files.as_nifti(stored.astype("<i4"), slope=slope)), RANDOM)
     with pytest.raises(SpecError, match=r"scl_slope = 0\.01 .* turn the stored 1 into 0\.01, which is no whole"):
-        labels(made.as_nifti(np.ones((3, 3, 3), "u1"), slope=0.01))
+        labels(files.as_nifti(np.ones((3, 3, 3), "u1"), slope=0.01))
 
 
 @pytest.mark.parametrize("value", [0.5, 1e-5, np.nan, np.inf, 1e300])
@@ -175,21 +175,21 @@ def test_numbers_that_are_no_labels_are_named(value: float) -> None:
         else f"one is {value:.9g}, which is no whole number within 1e-06"
     )
     with pytest.raises(SpecError, match=said):
-        labels(made.as_nrrd(voxels))
+        labels(files.as_nrrd(voxels))
     voxels[2, 3, 4] = 3 + 1e-7
-    assert labels(made.as_nrrd(voxels))[2, 3, 4] == 3
+    assert labels(files.as_nrrd(voxels))[2, 3, 4] == 3
 
 
 def test_a_function_of_intensity_in_a_metaimage_is_refused() -> None:
-    data = made.as_metaimage(RANDOM, more="ElementToIntensityFunctionSlope = 2")
+    data = files.as_metaimage(RANDOM, more="ElementToIntensityFunctionSlope = 2")
     assert "ElementToIntensityFunctionSlope = 2: remove it where the stored values are the labels" in refusal(data)
 
 
 def test_a_volume_beyond_measure_is_refused_at_once_with_the_voxel_size_that_would_do() -> None:
     start = time.perf_counter()
-    data = made.as_nrrd(RANDOM, more="sizes: 4000 4000 2000\nspacings: 0.05 0.05 0.1", without="spacings")
+    data = files.as_nrrd(RANDOM, more="sizes: 4000 4000 2000\nspacings: 0.05 0.05 0.1", without="spacings")
     assert "resample it to voxels of 0.062 x 0.062 x 0.124 mm" in refusal(data)
-    assert "resample it to voxels of 0.2 x 0.4 x 0.6 mm" in refusal(made.as_nrrd(RANDOM, more="sizes: 40000 40 20"))
+    assert "resample it to voxels of 0.2 x 0.4 x 0.6 mm" in refusal(files.as_nrrd(RANDOM, more="sizes: 40000 40 20"))
     assert time.perf_counter() - start < 1.0
 
 
@@ -227,7 +227,7 @@ def test_a_volume_is_never_held_whole(tmp_path: Path, speck: bool) -> None:
     if speck:
         voxels[0, 0, 499] = voxels[399, 499, 499] = 1
     voxels[200 : 200 + BREAST.shape[0], 100 : 100 + BREAST.shape[1], 50 : 50 + BREAST.shape[2]] = BREAST
-    (tmp_path / "a.nrrd").write_bytes(made.as_nrrd(voxels, spacing=(2.0, 2.0, 2.0)))
+    (tmp_path / "a.nrrd").write_bytes(files.as_nrrd(voxels, spacing=(2.0, 2.0, 2.0)))
     shape = voxels.shape
     del voxels
     store = Store(tmp_path / "store", min_free_bytes=0)
@@ -250,13 +250,13 @@ def test_a_volume_is_never_held_whole(tmp_path: Path, speck: bool) -> None:
 
 
 def test_a_matrix_of_a_metaimage_that_is_none_is_not_ignored() -> None:
-    data = made.as_metaimage(RANDOM, more="TransformMatrix = 1 0 0 1", without="TransformMatrix")
+    data = files.as_metaimage(RANDOM, more="TransformMatrix = 1 0 0 1", without="TransformMatrix")
     assert "TransformMatrix = '1 0 0 1': 9 numbers, or give axes" in refusal(data)
     assert head(data).placed(axes=("+z", "+y", "+x"))[1] == ("+z", "+y", "+x")
 
 
 def test_a_header_with_its_voxels_behind_it_may_be_called_as_if_they_were_elsewhere(tmp_path: Path) -> None:
-    for name, data in (("a.mhd", made.as_metaimage(RANDOM)), ("a.nhdr", made.as_nrrd(RANDOM))):
+    for name, data in (("a.mhd", files.as_metaimage(RANDOM)), ("a.nhdr", files.as_nrrd(RANDOM))):
         (tmp_path / name).write_bytes(data)
         assert two_files(tmp_path / name) is None
         np.testing.assert_array_equal(labels((tmp_path / name).read_bytes()), RANDOM)
@@ -266,9 +266,9 @@ def test_voxels_in_a_folder_below_are_found_and_nothing_above(tmp_path: Path) ->
     (tmp_path / "inner" / "data").mkdir(parents=True)
     (tmp_path / "inner" / "data" / "a.raw").write_bytes(RANDOM.tobytes())
     (tmp_path / "above.raw").write_bytes(RANDOM.tobytes())
-    for name, found in (("data/a.raw", True), ("../above.raw", False), (str(tmp_path / "above.raw"), False)):
-        (tmp_path / "inner" / "a.mhd").write_bytes(made.as_metaimage(RANDOM, packed=False, data_file=name))
-        if not found:
+    for name, allowed in (("data/a.raw", True), ("../above.raw", False), (str(tmp_path / "above.raw"), False)):
+        (tmp_path / "inner" / "a.mhd").write_bytes(files.as_metaimage(RANDOM, packed=False, data_file=name))
+        if not allowed:
             with pytest.raises(SpecError, match=r"which is not beside it: put 'above\.raw' into the folder of a\.mhd"):
                 two_files(tmp_path / "inner" / "a.mhd")
             continue
@@ -281,7 +281,7 @@ def test_voxels_in_a_folder_below_are_found_and_nothing_above(tmp_path: Path) ->
 
 
 def test_zlib_that_metaio_takes_either_way() -> None:
-    data = made.as_metaimage(RANDOM)
+    data = files.as_metaimage(RANDOM)
     packed = zlib.compress(RANDOM.tobytes())
     assert data.endswith(packed)
     np.testing.assert_array_equal(labels(data.replace(packed, gzip.compress(RANDOM.tobytes()))), RANDOM)
@@ -296,7 +296,7 @@ def test_zlib_that_metaio_takes_either_way() -> None:
 )
 def test_an_unlikely_size_is_to_be_confirmed(tmp_path: Path, spacing: tuple[float, float, float], said: str) -> None:
     store = Store(tmp_path / "store", min_free_bytes=0)
-    (tmp_path / "a.nrrd").write_bytes(made.as_nrrd(BREAST, spacing=spacing))
+    (tmp_path / "a.nrrd").write_bytes(files.as_nrrd(BREAST, spacing=spacing))
     with pytest.raises(SpecError, match=said) as caught:
         registry.add_file(store, tmp_path / "a.nrrd")
     assert caught.value.code == "upload-unlikely-size"
@@ -307,18 +307,18 @@ def test_an_unlikely_size_is_to_be_confirmed(tmp_path: Path, spacing: tuple[floa
 def test_headers_that_would_take_for_ever_are_refused_at_once() -> None:
     start = time.perf_counter()
     long = 800_000 * "( "
-    assert "'space directions' has" in refusal(made.as_nrrd(RANDOM, more=f"space: LPS\nspace directions: {long}"))
-    assert "'transformmatrix' has" in refusal(made.as_metaimage(RANDOM, more=f"TransformMatrix = {long}"))
+    assert "'space directions' has" in refusal(files.as_nrrd(RANDOM, more=f"space: LPS\nspace directions: {long}"))
+    assert "'transformmatrix' has" in refusal(files.as_metaimage(RANDOM, more=f"TransformMatrix = {long}"))
     assert "no ElementDataFile" in refusal(b"NDims = 3\n" + 400_000 * b"\n \n")
-    assert "line skip = 1000000000: from 0 to 10000" in refusal(made.as_nrrd(RANDOM, more="line skip: 1000000000"))
-    assert "byte skip = 1000000000000: from 0 to" in refusal(made.as_nrrd(RANDOM, more="byte skip: 1000000000000"))
+    assert "line skip = 1000000000: from 0 to 10000" in refusal(files.as_nrrd(RANDOM, more="line skip: 1000000000"))
+    assert "byte skip = 1000000000000: from 0 to" in refusal(files.as_nrrd(RANDOM, more="byte skip: 1000000000000"))
     assert "a zip archive: unpack it" in refusal(b"PK\x03\x04" + 100 * b"x" + b"PK\5\6" + 8 * b"\0" + 10 * b"\xff")
     assert time.perf_counter() - start < 10.0
 
 
 def test_what_is_said_replaces_what_the_file_says_and_is_remarked(tmp_path: Path) -> None:
     store = Store(tmp_path / "store", min_free_bytes=0)
-    (tmp_path / "a.nrrd").write_bytes(made.as_nrrd(BREAST, spacing=(1.0, 1.0, 1.0)))
+    (tmp_path / "a.nrrd").write_bytes(files.as_nrrd(BREAST, spacing=(1.0, 1.0, 1.0)))
     reading = Reading(spacing_mm=(2.0, 2.0, 2.0), axes=("-z", "+y", "+x"))
     upload = registry.add_file(store, tmp_path / "a.nrrd", reading)
     assert upload.remarks[:2] == (

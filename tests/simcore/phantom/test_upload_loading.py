@@ -28,10 +28,10 @@ from simcore.presets import get
 from simcore.spec import SimulationSpec
 
 _spec = importlib.util.spec_from_file_location("upload_files", Path(__file__).with_name("upload_files.py"))
-made = importlib.util.module_from_spec(_spec)
-_spec.loader.exec_module(made)
+files = importlib.util.module_from_spec(_spec)
+_spec.loader.exec_module(files)
 
-VOXELS = made.half_breast()
+VOXELS = files.half_breast()
 SPACING = (1.0, 0.9, 0.8)
 
 
@@ -45,7 +45,7 @@ def spec(labels: np.ndarray = VOXELS, **fields: object) -> UploadedPhantom:
 
 
 def load(labels: np.ndarray = VOXELS, **fields: object) -> Phantom:
-    return phantom.load(spec(labels, **fields), io.BytesIO(made.as_nrrd(labels)))
+    return phantom.load(spec(labels, **fields), io.BytesIO(files.as_nrrd(labels)))
 
 
 def test_victre_labels_become_tissues() -> None:
@@ -94,19 +94,19 @@ ORDERS = [(order, signs) for order in itertools.permutations("zyx") for signs in
 
 @pytest.mark.parametrize(("order", "signs"), ORDERS)
 def test_any_order_and_direction_of_the_axes_gives_the_same_phantom(order: tuple[str, ...], signs: str) -> None:
-    expected = phantom.load(spec(), io.BytesIO(made.as_nrrd(VOXELS)))
+    expected = phantom.load(spec(), io.BytesIO(files.as_nrrd(VOXELS)))
     turned = VOXELS.transpose(["zyx".index(name) for name in order])
     turned = np.ascontiguousarray(turned[tuple(slice(None, None, 1 if s == "+" else -1) for s in signs)])
-    asked = UploadedPhantom(
+    upload = UploadedPhantom(
         sha256=64 * "0",
         shape=turned.shape,
         spacing_mm=tuple(SPACING["zyx".index(name)] for name in order),
         axes=tuple(s + name for s, name in zip(signs, order, strict=True)),
     )
-    found = phantom.load(asked, io.BytesIO(made.as_nrrd(turned)))
-    np.testing.assert_array_equal(found.labels, expected.labels)
-    assert found.grid == expected.grid
-    assert found.labels.flags.c_contiguous
+    loaded = phantom.load(upload, io.BytesIO(files.as_nrrd(turned)))
+    np.testing.assert_array_equal(loaded.labels, expected.labels)
+    assert loaded.grid == expected.grid
+    assert loaded.labels.flags.c_contiguous
 
 
 @pytest.mark.parametrize(
@@ -165,7 +165,7 @@ def test_a_tissue_map_of_ones_own_and_unknown_values_by_name() -> None:
 
 def test_shape_and_content_must_be_those_of_the_specification() -> None:
     with pytest.raises(SpecError, match=r"phantom\.shape = \[1, 2, 3\]: the file has \["):
-        phantom.load(spec().with_(shape=(1, 2, 3)), io.BytesIO(made.as_nrrd(VOXELS)))
+        phantom.load(spec().with_(shape=(1, 2, 3)), io.BytesIO(files.as_nrrd(VOXELS)))
     with pytest.raises(SpecError, match="nothing but air"):
         load(np.zeros((4, 5, 6), "u1"))
 
@@ -182,7 +182,7 @@ def test_the_report_counts_what_is_there() -> None:
 def added(store: Store, tmp_path: Path, name: str = "breast.nrrd", data: bytes | None = None,
           reading: Reading | None = None) -> registry.Upload:  # fmt: skip
     path = tmp_path / name
-    path.write_bytes(data or made.as_nrrd(VOXELS, spacing=SPACING))
+    path.write_bytes(data or files.as_nrrd(VOXELS, spacing=SPACING))
     return registry.add_file(store, path, (reading or Reading()).with_(confirm_size=True))  # 10 ml
 
 
@@ -208,14 +208,14 @@ def test_an_added_file_is_an_object_with_a_note_and_a_specification(store: Store
 
 
 def test_files_that_are_of_no_use_leave_nothing_behind(store: Store, tmp_path: Path) -> None:
-    strange = made.as_nrrd(np.full((3, 3, 3), 77, "u1"))
+    strange = files.as_nrrd(np.full((3, 3, 3), 77, "u1"))
     for data, said in ((strange, "no tissue for 77"), (strange[:-5], "cut short|unpacked"), (b"x", "no NRRD")):
         with pytest.raises(SpecError, match=said):
             added(store, tmp_path, data=data)
     with pytest.raises(SpecError, match="no voxel size: give spacing_mm"):
-        added(store, tmp_path, data=made.as_nrrd(VOXELS, without="spacings"))
+        added(store, tmp_path, data=files.as_nrrd(VOXELS, without="spacings"))
     with pytest.raises(SpecError, match=r"1 x 1 x 100 mm; from 0\.01 to 10 mm"):
-        added(store, tmp_path, data=made.as_nrrd(VOXELS, spacing=(100.0, 1.0, 1.0)))
+        added(store, tmp_path, data=files.as_nrrd(VOXELS, spacing=(100.0, 1.0, 1.0)))
     with pytest.raises(SpecError, match="cannot be read: No such file"):
         registry.add_file(store, tmp_path / "nothing.nrrd")
     assert registry.uploads(store) == []
@@ -225,13 +225,13 @@ def test_files_that_are_of_no_use_leave_nothing_behind(store: Store, tmp_path: P
 
 def test_what_the_file_does_not_say_can_be_said(store: Store, tmp_path: Path) -> None:
     reading = Reading(spacing_mm=SPACING, axes=("-z", "+y", "+x"), compressed=True)
-    upload = added(store, tmp_path, data=made.as_nrrd(VOXELS, without="spacings"), reading=reading)
+    upload = added(store, tmp_path, data=files.as_nrrd(VOXELS, without="spacings"), reading=reading)
     assert (upload.spec.spacing_mm, upload.spec.axes, upload.spec.compressed) == (SPACING, ("-z", "+y", "+x"), True)
     raw = Reading(raw=RawHeader(shape=VOXELS.shape, spacing_mm=SPACING, axes=("+z", "-y", "+x")))
     upload = added(store, tmp_path, "p_1.raw.gz", gzip.compress(VOXELS.tobytes()), raw)
     assert (upload.name, upload.format, upload.spec.axes) == ("p_1.raw.gz", "nrrd", ("+z", "-y", "+x"))
     (tmp_path / "b.raw").write_bytes(VOXELS.tobytes())
-    header = made.as_metaimage(VOXELS, spacing=SPACING, packed=False, data_file="b.raw")
+    header = files.as_metaimage(VOXELS, spacing=SPACING, packed=False, data_file="b.raw")
     upload = added(store, tmp_path, "b.mhd", header)
     assert (upload.spec.shape, upload.spec.spacing_mm) == (VOXELS.shape, SPACING)
 
@@ -263,14 +263,14 @@ def test_an_uploaded_phantom_goes_the_whole_way(store: Store, tmp_path: Path) ->
 
 def test_a_compressed_phantom_is_projected_as_it_is(store: Store, tmp_path: Path) -> None:
     upload = added(store, tmp_path, reading=Reading(compressed=True))
-    told: list[tuple[str, str]] = []
+    messages: list[tuple[str, str]] = []
     result = pipeline.run(
-        case(upload), store, lambda stage, fraction, message, cached=False: told.append((stage, message))
+        case(upload), store, lambda stage, fraction, message, cached=False: messages.append((stage, message))
     )
     stages = {s["name"]: s for s in result.manifest["stages"]}
     assert set(pipeline.STAGES) - set(stages) == {"mesh", "warp", "mechanics"}
-    assert {stage for stage, message in told if message == "not needed"} == {"mesh", "warp", "mechanics"}
-    assert list(dict.fromkeys(stage for stage, _ in told)) == list(pipeline.STAGES)
+    assert {stage for stage, message in messages if message == "not needed"} == {"mesh", "warp", "mechanics"}
+    assert list(dict.fromkeys(stage for stage, _ in messages)) == list(pipeline.STAGES)
     results = result.manifest["results"]
     assert "force_N" not in results
     assert results["thickness_mm"] == upload.spec.extent_mm[2]

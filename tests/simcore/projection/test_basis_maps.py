@@ -43,7 +43,7 @@ def moved_detector():
 
 @pytest.mark.parametrize("maps", [1, 2, 3, 4])
 @pytest.mark.parametrize(
-    "asked",
+    "spec",
     [
         acquisition(),
         acquisition(angular_range_degrees=110.0),
@@ -52,12 +52,12 @@ def moved_detector():
     ],
     ids=["stationary", "flat", "turning", "rays"],
 )
-def test_each_map_is_siddon(phantom, asked, maps):
-    geometry = geometry_of(asked)
+def test_each_map_is_siddon(phantom, spec, maps):
+    geometry = geometry_of(spec)
     for view in (0, 1):
-        found = basis_integrals(phantom, geometry, view, BASIS[:maps])
-        assert found.shape == (maps, 150, 130)
-        for values, image in zip(BASIS, found, strict=False):
+        images = basis_integrals(phantom, geometry, view, BASIS[:maps])
+        assert images.shape == (maps, 150, 130)
+        for values, image in zip(BASIS, images, strict=False):
             expected = np.empty((150, 130))
             project_rays(phantom.labels, phantom.grid.moved(z=20.0), geometry, view, values, out=expected)
             assert expected.max() > 1.0
@@ -68,8 +68,8 @@ def test_tall_and_flat_voxels(phantom):
     """Paths that meet many columns within a slice."""
     flat = Phantom(phantom.labels, Grid(phantom.labels.shape, (1.5, 0.3, 2.1), (0.0, -9.0, 0.0)))
     geometry = geometry_of(acquisition(angular_range_degrees=80.0))
-    found = basis_integrals(flat, geometry, 0, BASIS)
-    for values, image in zip(BASIS, found, strict=True):
+    images = basis_integrals(flat, geometry, 0, BASIS)
+    for values, image in zip(BASIS, images, strict=True):
         expected = np.empty((150, 130))
         project_rays(flat.labels, flat.grid.moved(z=20.0), geometry, 0, values, out=expected)
         assert np.abs(image - expected).max() < 1e-5 * expected.max()
@@ -82,8 +82,8 @@ def test_path_lengths_of_tissues_add_up_to_any_attenuation(phantom):
     lengths[[0, 1, 2, 3], [1, 2, 3, 4]] = 1.0
     mu = np.zeros(MAX_TISSUES)
     mu[1:5] = (0.0456, 0.0802, 0.3, 0.01)
-    found = np.tensordot(mu[1:5], basis_integrals(phantom, geometry, 2, lengths).astype(np.float64), axes=1)
-    assert np.abs(found - line_integrals(phantom, geometry, 2, mu)).max() < 1e-5
+    total = np.tensordot(mu[1:5], basis_integrals(phantom, geometry, 2, lengths).astype(np.float64), axes=1)
+    assert np.abs(total - line_integrals(phantom, geometry, 2, mu)).max() < 1e-5
 
 
 def test_refusals(phantom):

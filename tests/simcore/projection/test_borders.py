@@ -24,9 +24,9 @@ def test_every_border_is_found(nx):
     labels[2, 3] = 2
     beside = np.pad(labels.reshape(-1, nx), ((0, 0), (1, 1))).astype(np.int64)
     row, place = np.nonzero(beside[:, 1:] != beside[:, :-1])
-    found = borders_of(labels)
-    np.testing.assert_array_equal(found.start, np.concatenate([[0], np.cumsum(np.bincount(row, minlength=12))]))
-    np.testing.assert_array_equal(found.packed, place << 8 | beside[row, place] << 4 | beside[row, place + 1])
+    borders = borders_of(labels)
+    np.testing.assert_array_equal(borders.start, np.concatenate([[0], np.cumsum(np.bincount(row, minlength=12))]))
+    np.testing.assert_array_equal(borders.packed, place << 8 | beside[row, place] << 4 | beside[row, place + 1])
 
 
 def test_what_is_present_and_where_rows_end():
@@ -57,7 +57,7 @@ def test_tissue_that_takes_nothing_lies_beyond_all_that_does():
     grid = phantom.grid.moved(z=geometry.support_height)
     for view in range(geometry.views):
         assert plane_prefix.serves_lanes(geometry, view, grid)
-        found = line_integrals(phantom, geometry, view, mu)
+        values = line_integrals(phantom, geometry, view, mu)
         expected = np.empty((70, 80))
         project_rays(labels, grid, geometry, view, mu, out=expected)
-        np.testing.assert_allclose(found, expected, atol=1e-5)
+        np.testing.assert_allclose(values, expected, atol=1e-5)

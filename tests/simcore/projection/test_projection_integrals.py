@@ -70,9 +70,9 @@ def test_box_chords(view, detector_range):
     low = np.array([-1e-9, -60.0 + 24.0, 20.0 + 6.0])
     high = np.array([62.0, -60.0 + 100.0, 20.0 + 42.0])
     expected = chords_of_box(geometry, view, low, high) * MU[Tissue.GLAND]
-    found = line_integrals(phantom, geometry, view, MU)
+    values = line_integrals(phantom, geometry, view, MU)
     assert expected.max() > 2.5
-    assert np.abs(found - expected).max() < 2e-5
+    assert np.abs(values - expected).max() < 2e-5
     assert np.abs(by_rays(phantom, geometry, view, MU) - expected).max() < 1e-11
 
 
@@ -89,8 +89,8 @@ def error_of_sphere(spacing):
     to_centre = np.array([25.0, 0.0, 45.0]) - source
     distance2 = to_centre @ to_centre - (ray @ to_centre) ** 2
     expected = 2 * np.sqrt((radius**2 - distance2).clip(0)) * MU[Tissue.GLAND]
-    found = line_integrals(phantom, geometry, 0, MU)
-    return np.sqrt(np.mean((found - expected) ** 2)), found.sum() / expected.sum() - 1
+    values = line_integrals(phantom, geometry, 0, MU)
+    return np.sqrt(np.mean((values - expected) ** 2)), values.sum() / expected.sum() - 1
 
 
 def test_sphere_chords():
@@ -110,10 +110,10 @@ def test_plane_prefix_is_siddon(angular_range, detector_range, spacing, x):
     phantom = phantom_of(random_labels(), spacing, x)
     geometry = geometry_of(acquisition(angular_range_degrees=angular_range, detector_range_degrees=detector_range))
     for view in range(3):
-        found = line_integrals(phantom, geometry, view, ALL_DIFFERENT)
+        values = line_integrals(phantom, geometry, view, ALL_DIFFERENT)
         expected = by_rays(phantom, geometry, view, ALL_DIFFERENT)
         assert expected.max() > 1.5
-        error = found - expected
+        error = values - expected
         assert np.sqrt(np.mean(error**2)) < 2e-6 * expected.max()
         assert np.abs(error).max() < 1e-5 * expected.max()
 
@@ -124,9 +124,9 @@ def test_paths_that_meet_many_columns_in_a_slice(columns):
     phantom = phantom_of(labels, (2.0, 24.0 / columns, 12.0))
     geometry = geometry_of(acquisition(angular_range_degrees=118.0))
     for view in range(3):
-        found = line_integrals(phantom, geometry, view, ALL_DIFFERENT)
-        np.testing.assert_allclose(found, by_rays(phantom, geometry, view, ALL_DIFFERENT), atol=2e-5)
-        assert found.max() > 1.0
+        values = line_integrals(phantom, geometry, view, ALL_DIFFERENT)
+        np.testing.assert_allclose(values, by_rays(phantom, geometry, view, ALL_DIFFERENT), atol=2e-5)
+        assert values.max() > 1.0
 
 
 def test_rays_through_voxel_corners():
@@ -139,7 +139,7 @@ def test_rays_through_voxel_corners():
         isocenter_height=0.0, source_to_detector=64.0, support_height=0.0,
     )  # fmt: skip
     for view in range(3):
-        found = line_integrals(phantom, geometry, view, MU)
+        values = line_integrals(phantom, geometry, view, MU)
         # A ray within a boundary may count either side: compare with rays moved by a hair to each side.
         hair = 1e-7
         sides = []
@@ -148,10 +148,10 @@ def test_rays_through_voxel_corners():
             sides.append(by_rays(moved, geometry, view, MU))
             moved = Phantom(phantom.labels, phantom.grid.moved(x=side, y=-side))
             sides.append(by_rays(moved, geometry, view, MU))
-        nearest = np.min([np.abs(found - side) for side in sides], axis=0)
+        nearest = np.min([np.abs(values - side) for side in sides], axis=0)
         # Rays with several coincidences may mix sides; all others must agree with one.
         assert np.mean(nearest < 1e-5) > 0.97
-        assert (found <= np.max(sides, axis=0) + 0.5).all()
+        assert (values <= np.max(sides, axis=0) + 0.5).all()
 
 
 def test_phantom_outside_the_beam_and_empty():
@@ -166,8 +166,8 @@ def test_chest_wall_column_is_full():
     """The first pixel column looks along the chest wall through the whole breast."""
     phantom = phantom_of(np.full((30, 60, 50), Tissue.GLAND, np.uint8))
     geometry = geometry_of(acquisition(views=1))
-    found = line_integrals(phantom, geometry, 0, MU)
-    assert found[75, 0] == pytest.approx(60.0 * MU[Tissue.GLAND], rel=1e-5)
+    values = line_integrals(phantom, geometry, 0, MU)
+    assert values[75, 0] == pytest.approx(60.0 * MU[Tissue.GLAND], rel=1e-5)
 
 
 def smooth_ball(cells, size=24.0):

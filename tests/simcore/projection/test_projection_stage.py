@@ -78,9 +78,9 @@ def test_attenuation_tables():
 
 def test_polynomial_exponential():
     x = np.concatenate([np.linspace(0, 16, 4001), np.linspace(16, 40, 101)])
-    found = np.array([attenuation(value) for value in x])
-    assert np.abs(found - np.exp(-x)).max() < 1e-12
-    assert np.abs(found[:4001] / np.exp(-x[:4001]) - 1).max() < 1e-6
+    values = np.array([attenuation(value) for value in x])
+    assert np.abs(values - np.exp(-x)).max() < 1e-12
+    assert np.abs(values[:4001] / np.exp(-x[:4001]) - 1).max() < 1e-6
 
 
 def test_pixel_values_are_rounded_and_clipped():

@@ -101,15 +101,15 @@ def test_a_turning_detector_that_is_listed_gives_the_same_image(block):
 def test_any_pose_by_brute_force(block, source, pose, fast, sampling):
     geometry = geometry_of(listed((source, pose)))
     assert serves(geometry, 0) == fast
-    found = line_integrals(block, geometry, 0, MU, sampling=sampling, step_voxels=0.02)
+    values = line_integrals(block, geometry, 0, MU, sampling=sampling, step_voxels=0.02)
     grid = block.grid.moved(z=geometry.support_height)
-    lit = np.argwhere(found > 0.5)
+    lit = np.argwhere(values > 0.5)
     assert len(lit) > 500
     chosen = lit[np.random.default_rng(1).choice(len(lit), 150)]
     exact = np.array(
         [siddon(block.labels, grid, geometry.sources[0], geometry.pixel_position(0, *p), MU) for p in chosen]
     )
-    error = np.array([found[j, i] for j, i in chosen]) - exact
+    error = np.array([values[j, i] for j, i in chosen]) - exact
     if sampling == "exact":
         assert np.abs(error).max() < 2e-5
     else:

@@ -80,29 +80,29 @@ def case(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture(scope="module")
-def found(case: Path) -> dict:
+def report(case: Path) -> dict:
     return quality.analyse(case)
 
 
-def test_tissues_are_told_apart_as_they_were_made(found: dict):
-    against = found["volume"]["gland_against_adipose"]
+def test_tissues_are_told_apart_as_they_were_made(report: dict):
+    against = report["volume"]["gland_against_adipose"]
     assert against["difference_per_mm"] == pytest.approx(0.0802 - 0.0456, abs=1e-5)
     assert against["noise_per_mm"] == pytest.approx(0.001, rel=0.02)
     assert against["cnr"] == pytest.approx(34.6, rel=0.02)
-    assert found["volume"]["mass_against_adipose"] is None
+    assert report["volume"]["mass_against_adipose"] is None
 
 
-def test_volumes_and_clipping(found: dict):
-    ml = found["volume"]["tissue_ml"]
+def test_volumes_and_clipping(report: dict):
+    ml = report["volume"]["tissue_ml"]
     assert sum(ml.values()) == pytest.approx(np.pi / 2 * 40**2 * 20 / 1000, rel=1e-3)
     assert ml["gland"] == pytest.approx(np.pi / 2 * 15**2 * 20 / 1000, rel=3e-3)
-    assert found["volume"]["clipped"] == {"low": 0.0, "high": 0.0}
-    assert found["projections"][0]["clipped_low"] == 12 / (192 * 128)
-    assert found["projections"][1]["clipped_low"] == 0.0
+    assert report["volume"]["clipped"] == {"low": 0.0, "high": 0.0}
+    assert report["projections"][0]["clipped_low"] == 12 / (192 * 128)
+    assert report["projections"][1]["clipped_low"] == 0.0
 
 
-def test_skin_line_stands_where_the_skin_is(found: dict):
-    skin = found["volume"]["skin_line"]
+def test_skin_line_stands_where_the_skin_is(report: dict):
+    skin = report["volume"]["skin_line"]
     assert skin["rows"] > 60
     assert abs(skin["border_mm"]) <= PIXEL
     assert skin["overshoot_per_mm"] == pytest.approx(0.09 - 0.0456, abs=0.003)
@@ -110,16 +110,16 @@ def test_skin_line_stands_where_the_skin_is(found: dict):
     assert skin["thickness_mm"] == pytest.approx(SKIN, abs=PIXEL / 2)
 
 
-def test_texture_of_white_noise_is_flat_in_every_view(found: dict):
-    for view in found["projections"]:
+def test_texture_of_white_noise_is_flat_in_every_view(report: dict):
+    for view in report["projections"]:
         assert view["rois"] >= 1
         assert view["beta"] == pytest.approx(0.0, abs=0.9)  # few frequencies lie in the band at this pixel size
-    assert np.mean([view["beta"] for view in found["projections"]]) == pytest.approx(0.0, abs=0.3)
-    assert found["projections"][0]["roi_pixels"] * PIXEL == found["projections"][0]["roi_mm"]
+    assert np.mean([view["beta"] for view in report["projections"]]) == pytest.approx(0.0, abs=0.3)
+    assert report["projections"][0]["roi_pixels"] * PIXEL == report["projections"][0]["roi_mm"]
 
 
-def test_checks_name_what_lies_outside(found: dict):
-    stand = {c["quantity"]: c["in_range"] for c in found["checks"]}
+def test_checks_name_what_lies_outside(report: dict):
+    stand = {c["quantity"]: c["in_range"] for c in report["checks"]}
     assert stand == {
         "projection beta": False,
         "slice beta": stand["slice beta"],
@@ -131,9 +131,9 @@ def test_checks_name_what_lies_outside(found: dict):
     assert literature.checks({})[0]["in_range"] is None
 
 
-def test_the_report_is_json_and_the_table_is_for_people(found: dict):
-    assert json.loads(json.dumps(found, allow_nan=False)) == found
-    text = quality.table(found)
+def test_the_report_is_json_and_the_table_is_for_people(report: dict):
+    assert json.loads(json.dumps(report, allow_nan=False)) == report
+    text = quality.table(report)
     assert "gland against adipose: +0.0346" in text
     assert "force                   97.00 N" in text
     assert max(map(len, text.splitlines())) <= 120
@@ -148,12 +148,12 @@ def test_a_folder_that_is_no_case_says_what_is_missing(case: Path, tmp_path: Pat
         quality.analyse(tmp_path)
 
 
-def test_the_command_prints_the_table_and_writes_the_report(case: Path, tmp_path: Path, found: dict, capsys):
+def test_the_command_prints_the_table_and_writes_the_report(case: Path, tmp_path: Path, report: dict, capsys):
     copy = tmp_path / "case"
     shutil.copytree(case, copy)
     assert main(["analyse", str(copy)]) == 0
-    assert capsys.readouterr().out == quality.table(found) + "\n"
-    assert json.loads((copy / "analysis.json").read_text()) == found
+    assert capsys.readouterr().out == quality.table(report) + "\n"
+    assert json.loads((copy / "analysis.json").read_text()) == report
 
 
 def test_the_command_refuses_what_is_no_case(tmp_path: Path, capsys):

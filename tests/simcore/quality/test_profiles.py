@@ -105,17 +105,17 @@ DISK_GRID = Grid((1, 400, 400), (0.1, 0.1, 1.0), (0.0, -20.0, 0.0))
 
 
 def test_contrast_of_a_disk_is_what_was_put_in():
-    found = disk_contrast(disk_image(0.05, 0.02), DISK_GRID, (20.0, 2.0), 2.5)
-    assert found.difference == pytest.approx(0.05, abs=1.5e-3)
-    assert found.noise == pytest.approx(0.02, rel=0.03)
-    assert found.cnr == pytest.approx(2.5, rel=0.06)
-    assert found.relative == pytest.approx(0.125, rel=0.04)
+    contrast = disk_contrast(disk_image(0.05, 0.02), DISK_GRID, (20.0, 2.0), 2.5)
+    assert contrast.difference == pytest.approx(0.05, abs=1.5e-3)
+    assert contrast.noise == pytest.approx(0.02, rel=0.03)
+    assert contrast.cnr == pytest.approx(2.5, rel=0.06)
+    assert contrast.relative == pytest.approx(0.125, rel=0.04)
 
 
 def test_contrast_without_noise_is_exact():
-    found = disk_contrast(disk_image(-0.05, 0.0), DISK_GRID, (20.0, 2.0), 2.5)
-    assert found.difference == pytest.approx(-0.05, abs=1e-12)
-    assert abs(found.cnr) > 1e9
+    contrast = disk_contrast(disk_image(-0.05, 0.0), DISK_GRID, (20.0, 2.0), 2.5)
+    assert contrast.difference == pytest.approx(-0.05, abs=1e-12)
+    assert abs(contrast.cnr) > 1e9
     assert Contrast(1.0, 0.0, 0.0).relative == math.inf
 
 
@@ -131,9 +131,9 @@ def test_contrast_of_tissues_is_taken_slice_by_slice():
         values = mean + np.array([-1.0, 1.0, 2.0, 4.0])
         tissues.add(values, np.array([1, 1, 2, 2], np.uint8))
     tissues.add(np.array([1000.0, 1000.0]), np.array([1, 1], np.uint8))  # a slice without the other tissue
-    found = tissues.contrast(2, 1)
-    assert found is not None
-    assert (found.difference, found.noise, found.cnr) == (3.0, 1.0, 3.0)
+    contrast = tissues.contrast(2, 1)
+    assert contrast is not None
+    assert (contrast.difference, contrast.noise, contrast.cnr) == (3.0, 1.0, 3.0)
     assert tissues.count(1) == 8
     assert tissues.mean(2) == 53.0
     assert tissues.mean(3) is None

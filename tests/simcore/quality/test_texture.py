@@ -28,11 +28,11 @@ def power_law_field(beta: float, size: int, pixel: float, seed: int) -> np.ndarr
 def test_exponent_of_power_law_fields(beta: float):
     # Cut out of a field four times as wide: not periodic in the region, as no breast is.
     field = power_law_field(beta, 1024, PIXEL, seed=3)
-    found = texture(field, np.ones(field.shape, bool), PIXEL)
-    assert found.roi_pixels == 256
-    assert len(found.betas) == 49
-    error_of_mean = found.betas.std() / np.sqrt(16)  # half-overlapping squares: 16 of them are independent
-    assert found.betas.mean() == pytest.approx(beta, abs=3 * error_of_mean)
+    result = texture(field, np.ones(field.shape, bool), PIXEL)
+    assert result.roi_pixels == 256
+    assert len(result.betas) == 49
+    error_of_mean = result.betas.std() / np.sqrt(16)  # half-overlapping squares: 16 of them are independent
+    assert result.betas.mean() == pytest.approx(beta, abs=3 * error_of_mean)
     assert error_of_mean < 0.1
 
 

@@ -225,10 +225,10 @@ def test_what_cannot_be_reconstructed_is_refused(make_geometry, acquire):
 
 def test_progress_is_told_and_may_cancel(make_geometry, acquire):
     stack = acquire(make_geometry(ny=64, nx=32), [])
-    told = []
-    reconstruct(stack, FINE, 10.0, lambda fraction, message: told.append(fraction))
-    assert told == sorted(told)
-    assert told[-1] == 1.0
+    fractions = []
+    reconstruct(stack, FINE, 10.0, lambda fraction, message: fractions.append(fraction))
+    assert fractions == sorted(fractions)
+    assert fractions[-1] == 1.0
 
     def stop(fraction, message):
         if fraction > 0.5:

@@ -175,8 +175,8 @@ def test_simple_backprojection_is_sharp_in_the_slice_of_a_bead(make_geometry, ac
     volume = reconstruct(stack, Backprojection(), 25.0)
     values = attenuation(volume)
     place = np.unravel_index(values.argmax(), values.shape)
-    found = [volume.grid.centres(axis)[n] for axis, n in zip("zyx", place, strict=True)]
-    assert np.all(np.abs(np.subtract(found, bead[::-1])) < [1.0, 0.15, 0.15])
+    peak = [volume.grid.centres(axis)[n] for axis, n in zip("zyx", place, strict=True)]
+    assert np.all(np.abs(np.subtract(peak, bead[::-1])) < [1.0, 0.15, 0.15])
     # Elsewhere each view has its own copy.
     assert values[0].max() < 0.3 * values.max()
 

@@ -38,9 +38,9 @@ def test_motion_on_a_line_is_what_differences_give(make_geometry):
     line = on_a_line(make_geometry(ny=400, nx=4, pixel=1.0, views=81, angular_range=40.0))
     for view in (0, 17, 40, 80):
         row = int(np.argmin(np.abs(line.detector.y_centres() - line.sources[view, 1])))
-        found = ray_weights(line, view, slice(0, 1))[row, 0]
+        weight = ray_weights(line, view, slice(0, 1))[row, 0]
         expected = 620.0 / np.cos(np.deg2rad(line.angles[view])) ** 2 / 660.0
-        assert found == pytest.approx(expected, rel=1e-3)
+        assert weight == pytest.approx(expected, rel=1e-3)
 
 
 def test_two_views_at_one_angle_are_refused(make_geometry, acquire):

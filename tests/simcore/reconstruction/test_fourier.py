@@ -20,8 +20,8 @@ def test_every_length(length):
     response = random.random(length // 2 + 1).astype(np.float32)
     out = np.empty_like(columns)
     convolve_columns(columns, response, length, out)
-    wanted = exact(columns, response, length)
-    assert np.abs(out - wanted).max() < 1e-6 * np.abs(wanted).max()
+    expected = exact(columns, response, length)
+    assert np.abs(out - expected).max() < 1e-6 * np.abs(expected).max()
 
 
 @pytest.mark.parametrize("count", [1, 15, 16, 17, 31, 32, 40, 64, 70])
@@ -32,8 +32,8 @@ def test_any_number_of_columns_of_wider_arrays(count):
     response = random.random(length // 2 + 1).astype(np.float32)
     wider = np.full((100, 99), 7.0, np.float32)
     convolve_columns(wide[:, 3 : 3 + count], response, length, wider[:, 5 : 5 + count])
-    wanted = exact(wide[:, 3 : 3 + count], response, length)[:100]
-    assert np.abs(wider[:, 5 : 5 + count] - wanted).max() < 1e-6 * np.abs(wanted).max()
+    expected = exact(wide[:, 3 : 3 + count], response, length)[:100]
+    assert np.abs(wider[:, 5 : 5 + count] - expected).max() < 1e-6 * np.abs(expected).max()
     assert np.all(wider[:, :5] == 7.0)
     assert np.all(wider[:, 5 + count :] == 7.0)
 

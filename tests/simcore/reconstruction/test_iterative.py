@@ -282,15 +282,15 @@ def test_a_turned_detector_gives_the_same_volume(make_geometry, acquire):
     ids=lambda spec: spec.kind,
 )
 def test_threads_change_no_byte_and_progress_is_told(stack, spec, threads):
-    results, told = [], []
+    results, fractions = [], []
     for count in (1, 2):
         threads(count)
-        told.clear()
-        volume = reconstruct(stack, spec, 20.0, lambda fraction, message: told.append(fraction))
+        fractions.clear()
+        volume = reconstruct(stack, spec, 20.0, lambda fraction, message: fractions.append(fraction))
         results.append((volume.data.tobytes(), volume.report))
     assert results[0] == results[1]
-    assert told == sorted(told)
-    assert told[-1] == 1.0
+    assert fractions == sorted(fractions)
+    assert fractions[-1] == 1.0
     assert volume.data.max() > volume.data.min()
 
     def stop(fraction, message):

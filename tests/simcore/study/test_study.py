@@ -24,15 +24,15 @@ def seeds(count, seed=0, **more):
     return {"kind": "random", "count": count, "seed": seed, "draws": {"seed": {"kind": "integer"}, **more}}
 
 
-def coordinates(asked):
-    return [case.coordinates for case in expand(asked)]
+def coordinates(spec):
+    return [case.coordinates for case in expand(spec)]
 
 
 def test_every_combination_the_last_axis_fastest():
-    asked = study(grid("compression.percent", 20.0, 50.0), grid("/acquisition/views", 7, 15), name="angles")
-    cases = list(expand(asked))
-    assert asked.size == len(cases) == 4
-    assert columns(asked) == ["compression.percent", "acquisition.views"]
+    spec = study(grid("compression.percent", 20.0, 50.0), grid("/acquisition/views", 7, 15), name="angles")
+    cases = list(expand(spec))
+    assert spec.size == len(cases) == 4
+    assert columns(spec) == ["compression.percent", "acquisition.views"]
     assert [tuple(case.coordinates.values()) for case in cases] == [(20.0, 7), (20.0, 15), (50.0, 7), (50.0, 15)]
     assert [case.number for case in cases] == [1, 2, 3, 4]
     assert [case.name for case in cases] == ["angles 0001", "angles 0002", "angles 0003", "angles 0004"]
@@ -54,24 +54,24 @@ def test_fields_of_a_list_change_together():
         {"acquisition.views": 7, "acquisition.angular_range_degrees": 20.0},
         {"/acquisition/angular_range_degrees": 40.0, "acquisition.views": 15},
     ]
-    asked = study({"kind": "list", "name": "system", "labels": ["narrow", "wide"], "points": points})
-    assert coordinates(asked) == [
+    spec = study({"kind": "list", "name": "system", "labels": ["narrow", "wide"], "points": points})
+    assert coordinates(spec) == [
         {"system": "narrow", "acquisition.views": 7, "acquisition.angular_range_degrees": 20.0},
         {"system": "wide", "acquisition.angular_range_degrees": 40.0, "acquisition.views": 15},
     ]
-    wide = SimulationSpec.from_dict(list(expand(asked))[1].specification).acquisition
+    wide = SimulationSpec.from_dict(list(expand(spec))[1].specification).acquisition
     assert (wide.views, wide.angular_range_degrees) == (15, 40.0)
 
 
 def test_a_list_or_object_stands_under_its_label():
-    asked = study(grid("phantom.lesions", [], [{"kind": "mass"}], name="lesion", labels=["none", "mass"]))
-    assert coordinates(asked) == [{"lesion": "none"}, {"lesion": "mass"}]
+    spec = study(grid("phantom.lesions", [], [{"kind": "mass"}], name="lesion", labels=["none", "mass"]))
+    assert coordinates(spec) == [{"lesion": "none"}, {"lesion": "mass"}]
     assert coordinates(study(grid("phantom.lesions", []))) == [{"phantom.lesions": []}]
 
 
 def test_a_missing_object_gets_the_kind_that_is_its_default():
-    asked = study(grid("mesh.edge_length_mm", 8.0), grid("phantom.compartments.count", 100))
-    (case,) = expand(asked)
+    axes = study(grid("mesh.edge_length_mm", 8.0), grid("phantom.compartments.count", 100))
+    (case,) = expand(axes)
     assert case.specification["mesh"] == {"kind": "tetwild", "edge_length_mm": 8.0}
     spec = SimulationSpec.from_dict(case.specification)
     assert (spec.mesh.edge_length_mm, spec.phantom.compartments.count) == (8.0, 100)
@@ -107,8 +107,8 @@ class TestDraws:
         ids=lambda d: d["kind"],
     )
     def test_values_lie_where_they_should(self, distribution):
-        asked = study({"kind": "random", "count": 400, "draws": {"phantom.glandularity": distribution}})
-        values = [c["phantom.glandularity"] for c in coordinates(asked)]
+        spec = study({"kind": "random", "count": 400, "draws": {"phantom.glandularity": distribution}})
+        values = [c["phantom.glandularity"] for c in coordinates(spec)]
         assert all(0.1 <= v <= 0.4 for v in values)
         assert min(values) < 0.15
         assert max(values) > 0.35
@@ -122,10 +122,10 @@ class TestDraws:
 
 
 def test_a_pair_differs_in_its_lesions_alone():
-    asked = study(seeds(2), {"kind": "lesion_pair", "lesions": [{"kind": "mass"}]})
-    absent, present, *others = (SimulationSpec.from_dict(case.specification) for case in expand(asked))
-    assert coordinates(asked)[0]["lesions"] == "absent"
-    assert coordinates(asked)[1]["lesions"] == "present"
+    spec = study(seeds(2), {"kind": "lesion_pair", "lesions": [{"kind": "mass"}]})
+    absent, present, *others = (SimulationSpec.from_dict(case.specification) for case in expand(spec))
+    assert coordinates(spec)[0]["lesions"] == "absent"
+    assert coordinates(spec)[1]["lesions"] == "present"
     assert [lesion.kind for lesion in present.phantom.lesions] == ["mass"]
     assert present.with_(name="", phantom=present.phantom.with_(lesions=())) == absent.with_(name="")
     assert others[0].seed != absent.seed
@@ -133,12 +133,12 @@ def test_a_pair_differs_in_its_lesions_alone():
 
 def test_where_a_value_came_from():
     points = [{"/acquisition/views": 7}]
-    asked = study(
+    spec = study(
         grid("seed", 1, 2),
         {"kind": "list", "points": points},
         seeds(1) | {"draws": {"physics.step_voxels": {"kind": "uniform", "low": 0.1, "high": 0.4}}},
     )
-    assert list(expand(asked))[1].sources == {
+    assert list(expand(spec))[1].sources == {
         "seed": "/axes/0/values/1",
         "acquisition.views": "/axes/1/points/0/~1acquisition~1views",
         "physics.step_voxels": "/axes/2/draws/physics.step_voxels",

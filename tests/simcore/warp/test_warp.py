@@ -129,7 +129,7 @@ def brute_force(phantom, mesh, deformed, grid):
     z, y, x = np.meshgrid(*(grid.centres(axis) for axis in "zyx"), indexing="ij")
     points = np.stack([x, y, z], -1).reshape(-1, 3)
     best = np.full(len(points), -np.inf)
-    found = np.zeros(len(points), np.uint8)
+    values = np.zeros(len(points), np.uint8)
     edge = np.ones(len(points), bool)
     for tet in mesh.tets:
         corners = deformed[tet]
@@ -140,10 +140,10 @@ def brute_force(phantom, mesh, deformed, grid):
         cells = (weights @ mesh.nodes[tet] - phantom.grid.corner) / phantom.grid.spacing
         at = np.clip(np.floor(cells).astype(int), 0, np.array(phantom.grid.shape[::-1]) - 1)
         looked_up = np.where(least >= 0, phantom.labels[at[:, 2], at[:, 1], at[:, 0]], 0)
-        found[better] = looked_up[better]
+        values[better] = looked_up[better]
         edge[better] = (np.abs(cells - np.rint(cells)).min(1) > 1e-6)[better]
         best = np.maximum(best, least)
-    labels[:] = found.reshape(grid.shape)
+    labels[:] = values.reshape(grid.shape)
     sure[:] = (edge & (np.abs(best) > 1e-6)).reshape(grid.shape)
     return labels, sure
 

@@ -84,13 +84,13 @@ def client(machines, start, free_port, tmp_path, log):
         "sweep_seconds": 0.2,
     }
     workers = [settings.model_copy(update=shared) for settings in machines]
-    with TestClient(create_app(workers[0]), base_url="http://127.0.0.1", client=("127.0.0.1", 50000)) as made:
+    with TestClient(create_app(workers[0]), base_url="http://127.0.0.1", client=("127.0.0.1", 50000)) as http:
         for settings in workers:
             start([sys.executable, "-m", "worker"], environment(settings))
         engine = connect(shared["database_url"])
         wait_for(lambda: Fleet(engine).alive() == 2, "the start of two workers")
         engine.dispose()
-        yield made
+        yield http
 
 
 def post(client, seeds, views):

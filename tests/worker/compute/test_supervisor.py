@@ -56,9 +56,9 @@ def jobs(settings):
 
 @pytest.fixture(scope="module")
 def shared_slot(settings, jobs):
-    made = Slot("test", settings, jobs, threading.Event())
-    yield made
-    made.kill()
+    slot = Slot("test", settings, jobs, threading.Event())
+    yield slot
+    slot.kill()
 
 
 @pytest.fixture

@@ -36,16 +36,16 @@ class Committing:
         return 0x0000
 
     def _act(self, event):
-        wanted = event.action_information
-        self.asked.append([str(item.ReferencedSOPInstanceUID) for item in wanted.ReferencedSOPSequence])
+        request = event.action_information
+        self.asked.append([str(item.ReferencedSOPInstanceUID) for item in request.ReferencedSOPSequence])
         if self.reports and self.status == 0:
-            threading.Thread(target=self._report, args=(event.assoc, wanted), daemon=True).start()
+            threading.Thread(target=self._report, args=(event.assoc, request), daemon=True).start()
         return self.status, None
 
-    def _report(self, association, wanted):
-        items = list(wanted.ReferencedSOPSequence)
+    def _report(self, association, request):
+        items = list(request.ReferencedSOPSequence)
         report = Dataset()
-        report.TransactionUID = wanted.TransactionUID
+        report.TransactionUID = request.TransactionUID
         report.ReferencedSOPSequence = items[self.lost :]
         if self.lost:
             for item in items[: self.lost]:

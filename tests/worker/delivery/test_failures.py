@@ -76,9 +76,9 @@ def test_a_rejection_quicker_than_the_thread_that_waits_for_the_connection(room,
     usual = Entity._create_socket
 
     def create(*arguments):
-        made = usual(*arguments)
-        made._ready = ready()
-        return made
+        association = usual(*arguments)
+        association._ready = ready()
+        return association
 
     monkeypatch.setattr(Entity, "_create_socket", create)
     with closing(Scp(strict=True)) as peer:
@@ -274,8 +274,8 @@ def test_a_transfer_syntax_that_is_refused(room, storescp, syntax):
     item = room.file("a.dcm", compress=syntax)
     row = room.deliver(peer.port, [item])
     assert row.state == "succeeded"
-    (found,) = peer.folder.iterdir()
-    stored = dcmread(found)
+    (path,) = peer.folder.iterdir()
+    stored = dcmread(path)
     assert not stored.file_meta.TransferSyntaxUID.is_compressed
     assert stored.pixel_array.tobytes() == room.pixels["a.dcm"].tobytes()
     assert stored.SOPInstanceUID == dcmread(room.store.path(item)).SOPInstanceUID
@@ -288,8 +288,8 @@ def test_implicit_alone(room, storescp):
     peer = storescp("+xi")
     row = room.deliver(peer.port, room.case(1))
     assert row.state == "succeeded"
-    found = {dcmread(p).file_meta.TransferSyntaxUID.name for p in peer.folder.iterdir()}
-    assert found == {"Implicit VR Little Endian"}
+    syntaxes = {dcmread(p).file_meta.TransferSyntaxUID.name for p in peer.folder.iterdir()}
+    assert syntaxes == {"Implicit VR Little Endian"}
 
 
 def test_preferred_transfer_syntax(room):

@@ -36,8 +36,8 @@ def test_a_case_to_orthanc_and_back(room, orthanc):
             )
             assert answer.is_success, answer.text
             body = answer.content.split(b"\r\n\r\n", 1)[1]
-            found = np.frombuffer(body[: frame.nbytes], np.uint16).reshape(frame.shape)
-            assert np.array_equal(found, frame)
+            pixels = np.frombuffer(body[: frame.nbytes], np.uint16).reshape(frame.shape)
+            assert np.array_equal(pixels, frame)
 
 
 @pytest.mark.needs_orthanc

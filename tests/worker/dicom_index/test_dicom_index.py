@@ -49,8 +49,8 @@ def add(jobs, index):
 
 
 def uids(index, level, *conditions, limit=100, offset=0):
-    found, total = index.search(level, conditions, limit, offset)
-    return [f.instance or f.series or f.study for f in found], total
+    rows, total = index.search(level, conditions, limit, offset)
+    return [f.instance or f.series or f.study for f in rows], total
 
 
 def test_order_counts_and_pages(index, add):
@@ -87,8 +87,8 @@ def test_conditions(index, add):
 
 def test_an_instance_is_found_whole(index, add):
     add(entry())
-    (found,) = index.instances("1.2", "1.2.1", "1.2.1.1")
-    assert (found.pixels, found.file) == (PIXELS, FileRef("a" * 64, 5_000_000_000))
+    (row,) = index.instances("1.2", "1.2.1", "1.2.1.1")
+    assert (row.pixels, row.file) == (PIXELS, FileRef("a" * 64, 5_000_000_000))
     assert index.instances("1.2", "1.2.9") == []
 
 

@@ -34,8 +34,8 @@ def wait_for(condition, seconds=30.0):
 @pytest.fixture
 def make_service_settings(make_settings, own_postgres):
     def make(**changes):
-        given = {"database_url": own_postgres[1], "broker_url": "", "memory_limit_bytes": 3_000_000_000}
-        settings = make_settings(**given, **changes)
+        fields = {"database_url": own_postgres[1], "broker_url": "", "memory_limit_bytes": 3_000_000_000}
+        settings = make_settings(**fields, **changes)
         settings.data_folder.mkdir(parents=True, exist_ok=True)
         return settings
 

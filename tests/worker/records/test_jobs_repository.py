@@ -186,19 +186,19 @@ def test_delete_takes_the_events_along(jobs, queued):
 
 
 def test_pages_newest_first_without_gaps(jobs, clock):
-    made = []
+    identifiers = []
     for n in range(7):
         clock.now += n % 2  # some at the same time
-        made.append(jobs.create({}, {}).id)
+        identifiers.append(jobs.create({}, {}).id)
     seen, before = [], None
     while page := jobs.page(2, before=before):
         seen += [row.id for row in page]
         before = (page[-1].created, page[-1].id)
-    assert sorted(seen) == sorted(made)
+    assert sorted(seen) == sorted(identifiers)
     ages = [jobs.get(i).created for i in seen]
     assert ages == sorted(ages, reverse=True)
-    jobs.claim(made[3], "a")
-    assert [row.id for row in jobs.page(9, state="running")] == [made[3]]
+    jobs.claim(identifiers[3], "a")
+    assert [row.id for row in jobs.page(9, state="running")] == [identifiers[3]]
 
 
 def test_what_is_to_be_sent(jobs, clock):

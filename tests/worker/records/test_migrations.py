@@ -23,13 +23,13 @@ SIMULATION = {"id": "1" * 32, "state": "queued", "specification": {}, "estimate"
 def engine(request, tmp_path):
     """A database that was migrated from nothing; tests change its tables."""
     if request.param == "sqlite":
-        made = connect(f"sqlite:///{tmp_path / 'tomosim.db'}")
+        database = connect(f"sqlite:///{tmp_path / 'tomosim.db'}")
     else:
-        made = connect(request.getfixturevalue("postgres_url"))
+        database = connect(request.getfixturevalue("postgres_url"))
         request.getfixturevalue("empty_postgres")()
-    schema.upgrade(made)
-    yield made
-    made.dispose()
+    schema.upgrade(database)
+    yield database
+    database.dispose()
 
 
 def differences(engine):

@@ -65,9 +65,9 @@ def test_changes_of_all_cases(studies, jobs, make):
     jobs.claim(first, "a")
     jobs.fail(first, "a", ERROR)
     jobs.claim(second, "b")
-    found, number = studies.cancel(study.id)
-    assert (number, found.state) == (3, "cancelling")
-    assert found.counts == {"failed": 1, "cancelling": 1, "cancelled": 2}
+    row, number = studies.cancel(study.id)
+    assert (number, row.state) == (3, "cancelling")
+    assert row.counts == {"failed": 1, "cancelling": 1, "cancelled": 2}
     assert states(jobs, third) == ["queued", "cancelled"]
     assert [e.sequence for e in jobs.events_after(third, 0)] == [1, 2] == [1, jobs.get(third).revision]
     assert not studies.delete(study.id)
@@ -98,13 +98,13 @@ def test_no_such_study(studies, action):
 
 
 def test_pages(studies, make, clock):
-    made = []
+    identifiers = []
     for _ in range(3):
         clock.now += 1
-        made.append(make(1).id)
+        identifiers.append(make(1).id)
     first = studies.page(2)
-    assert [s.id for s in first] == [made[2], made[1]]
-    assert [s.id for s in studies.page(2, (first[1].created, first[1].id))] == [made[0]]
+    assert [s.id for s in first] == [identifiers[2], identifiers[1]]
+    assert [s.id for s in studies.page(2, (first[1].created, first[1].id))] == [identifiers[0]]
 
 
 def test_times_are_those_of_the_first_and_the_last_case(studies, jobs, make, clock):
@@ -115,10 +115,10 @@ def test_times_are_those_of_the_first_and_the_last_case(studies, jobs, make, clo
         jobs.claim(identifier, "a")
         clock.now += 10
         jobs.succeed(identifier, "a", {"results": {}, "files": {}})
-        found = studies.get(study.id)
-        assert found.started == study.created + 10
-        assert found.finished == (None if number == 0 else study.created + 40)
-    assert found.state == "succeeded"
+        row = studies.get(study.id)
+        assert row.started == study.created + 10
+        assert row.finished == (None if number == 0 else study.created + 40)
+    assert row.state == "succeeded"
 
 
 def test_webhooks_are_told_of_every_case_that_is_cancelled(studies, make, engine, clock):
@@ -157,8 +157,8 @@ def test_many_change_one_study_at_once(studies, jobs, make):
     for t in threads:
         t.join()
     assert failures == []
-    found, _ = studies.cancel(study.id)
-    assert found.is_final
+    result, _ = studies.cancel(study.id)
+    assert result.is_final
     for identifier in ids:
         row = jobs.get(identifier)
         assert states(jobs, identifier)[-1] == row.state

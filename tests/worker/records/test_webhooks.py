@@ -46,16 +46,16 @@ def test_every_end_is_announced_once(hooks, jobs, clock):
     clock.now += 1
     cancelled = jobs.create({}, {}).id
     jobs.cancel(cancelled)
-    told = [json.loads(m.body) for m in reversed(hooks.messages(hook.id, 10))]
-    assert [(t["type"], t["data"]["id"]) for t in told] == [
+    messages = [json.loads(m.body) for m in reversed(hooks.messages(hook.id, 10))]
+    assert [(t["type"], t["data"]["id"]) for t in messages] == [
         ("simulation.failed", failed),
         ("simulation.succeeded", done),
         ("simulation.cancelled", cancelled),
     ]
-    assert told[0]["data"]["error"]["code"] == "x"
-    assert told[0]["data"]["name"] == "a case"
-    assert told[1]["data"]["results"] == {"volume_ml": 1.0}
-    assert datetime.fromisoformat(told[0]["timestamp"]) == datetime.fromtimestamp(1_000_000, UTC)
+    assert messages[0]["data"]["error"]["code"] == "x"
+    assert messages[0]["data"]["name"] == "a case"
+    assert messages[1]["data"]["results"] == {"volume_ml": 1.0}
+    assert datetime.fromisoformat(messages[0]["timestamp"]) == datetime.fromtimestamp(1_000_000, UTC)
 
 
 def test_only_who_wants_to_know_and_only_from_then_on(hooks, jobs):
@@ -248,8 +248,8 @@ def test_the_end_of_a_study_is_told_once(hooks, jobs, clock):
     assert studies.announce_finished() == [identifier]
     assert studies.announce_finished() == []
     (message,) = hooks.messages(hook.id, 10)
-    told = json.loads(message.body)["data"]
-    assert (told["id"], told["state"], told["counts"]) == (identifier, "partial", {"failed": 1, "succeeded": 1})
+    data = json.loads(message.body)["data"]
+    assert (data["id"], data["state"], data["counts"]) == (identifier, "partial", {"failed": 1, "succeeded": 1})
 
 
 @pytest.mark.parametrize("how", ["case", "study"])

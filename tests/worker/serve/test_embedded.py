@@ -39,18 +39,18 @@ def stat(pid):
 
 
 def is_alive(pid):
-    found = stat(pid)
-    return found is not None and found[0] not in "ZX"
+    state = stat(pid)
+    return state is not None and state[0] not in "ZX"
 
 
 def tree(pid):
     """{pid: command line} of a process and all below it."""
     parents = {int(p.name): s[1] for p in Path("/proc").iterdir() if p.name.isdigit() and (s := stat(p.name))}
-    found, new = set(), {pid}
+    pids, new = set(), {pid}
     while new:
-        found |= new
-        new = {child for child, parent in parents.items() if parent in new} - found
-    return {p: Path(f"/proc/{p}/cmdline").read_bytes().replace(b"\0", b" ").decode() for p in found if is_alive(p)}
+        pids |= new
+        new = {child for child, parent in parents.items() if parent in new} - pids
+    return {p: Path(f"/proc/{p}/cmdline").read_bytes().replace(b"\0", b" ").decode() for p in pids if is_alive(p)}
 
 
 class Service:
@@ -94,9 +94,9 @@ class Service:
         return wait_for(lambda: (self.get(path)["progress"]["message"] or "").startswith("step"), "the computation")
 
     def pid_of(self, words):
-        found = [p for p, command in tree(self.process.pid).items() if words in command]
-        assert len(found) == 1, f"{words}: {tree(self.process.pid)}"
-        return found[0]
+        pids = [p for p, command in tree(self.process.pid).items() if words in command]
+        assert len(pids) == 1, f"{words}: {tree(self.process.pid)}"
+        return pids[0]
 
     def stop(self, number=signal.SIGTERM):
         pids = list(tree(self.process.pid))

@@ -165,8 +165,8 @@ def age(store, monkeypatch, seconds=2 * DAY):
             return aged(head) if head and old.get(head.name) == head.tag else head
 
         def got(self, name):
-            found = get(self, name)
-            return found and (found[0], if_old(found[1]))
+            entry = get(self, name)
+            return entry and (entry[0], if_old(entry[1]))
 
         monkeypatch.setattr(bucket.Bucket, "head", lambda self, name: if_old(head_of(self, name)))
         monkeypatch.setattr(bucket.Bucket, "get", got)
@@ -188,12 +188,12 @@ def write(text):
 def test_a_case_that_reads_its_inputs_keeps_them(database, store, monkeypatch):
     record, _ = store.run("phantom", 1, {}, {}, write("input"))
     age(store, monkeypatch)
-    found, cached = store.run("phantom", 1, {}, {}, write("input"))
+    stored, cached = store.run("phantom", 1, {}, {}, write("input"))
     assert cached
     done = collect(database, store, DAY, time.time())
     assert (done.records, done.objects) == (0, 0)
-    assert store.path(found.outputs["a"]).read_text() == "input"
-    assert found == record
+    assert store.path(stored.outputs["a"]).read_text() == "input"
+    assert stored == record
 
 
 def test_a_case_that_commits_what_is_about_to_be_removed(database, store, monkeypatch):
@@ -203,9 +203,9 @@ def test_a_case_that_commits_what_is_about_to_be_removed(database, store, monkey
     listed = store.objects
 
     def commit_meanwhile():
-        found = list(listed())
+        rows = list(listed())
         store.run("phantom", 1, {"p": 2}, {}, write("same"))
-        return iter(found)
+        return iter(rows)
 
     monkeypatch.setattr(store, "objects", commit_meanwhile)
     done = collect(database, store, DAY, time.time())
@@ -231,12 +231,12 @@ def test_collections_and_cases_at_once(database, store, monkeypatch):
     collector.start()
     try:
         for n in range(150):
-            asked = time.time()
+            began = time.time()
             record, _ = store.run("s", 1, {"n": n % 3}, {}, write(f"content {n % 3 % 2}"))
             try:
                 assert store.path(record.outputs["a"]).read_text() == f"content {n % 3 % 2}"
             except OSError as error:
-                if time.time() - asked < grace:  # a machine that was busy for longer has no claim to it any more
+                if time.time() - began < grace:  # a machine that was busy for longer has no claim to it any more
                     failures.append(error)
             if n % 20 == 0:
                 time.sleep(0.25)

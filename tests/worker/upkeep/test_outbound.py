@@ -27,8 +27,8 @@ def names(monkeypatch):
         try:
             literal = ipaddress.ip_address(host)
         except ValueError:
-            found = answers[host].pop(0) if len(answers[host]) > 1 else answers[host][0]
-            return [ipaddress.ip_address(a) for a in found]
+            addresses = answers[host].pop(0) if len(answers[host]) > 1 else answers[host][0]
+            return [ipaddress.ip_address(a) for a in addresses]
         return [literal]
 
     monkeypatch.setattr(outbound, "lookup", lookup)

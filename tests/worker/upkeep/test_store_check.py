@@ -25,12 +25,12 @@ def test_a_bucket_that_can_be_used(s3_settings):
 @pytest.mark.parametrize(("condition", "ignored"), [("If-None-Match", {"fresh": False}), ("If-Match", {"tag": None})])
 def test_a_service_that_ignores_conditions_is_refused(s3_settings, monkeypatch, condition, ignored):
     put = Bucket.put
-    asked = "fresh" if "fresh" in ignored else "tag"
+    tag = "fresh" if "fresh" in ignored else "tag"
     monkeypatch.setattr(
         Bucket,
         "put",
-        lambda self, name, content, **given: put(
-            self, name, content, **{**given, **({} if asked not in given else ignored)}
+        lambda self, name, content, **conditions: put(
+            self, name, content, **{**conditions, **({} if tag not in conditions else ignored)}
         ),
     )
     with pytest.raises(StoreError, match=condition):
