@@ -12,12 +12,12 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 from PIL import Image
 
 from simcore.core.artifacts import Phantom, ProjectionStack, Volume
 from simcore.core.tissues import MAX_TISSUES, Tissue
+from simcore.kernels import njit
 
 MAX_PIXELS = 1024
 """Longest side of a picture of one image, pixels."""

@@ -2,8 +2,9 @@
 
     python -m simcore.warmup PART      (one part, in this process)
 
-numba keeps what it compiles in files beside the sources (or in NUMBA_CACHE_DIR), which all processes share. Every stage
-is a part: it runs on a small breast that is made here, so that no part waits for the kernels of another stage.
+numba keeps what it compiles in files beside the sources (or in NUMBA_CACHE_DIR), which all processes share
+(simcore/kernels.py). Every stage is a part: it runs on a small breast that is made here, so that no part waits for the
+kernels of another stage.
 """
 
 from __future__ import annotations
@@ -36,11 +37,11 @@ VOXEL_MM = 1.0
 
 
 def is_cold() -> bool:
-    """Whether nothing was compiled yet where this installation keeps it."""
+    """Whether nothing was compiled yet of the sources as they are, where this installation keeps it."""
+    from simcore.kernels import is_compiled
     from simcore.phantom.raster import label_voxels
 
-    folder = Path(label_voxels.stats.cache_path)
-    return not any(folder.glob(f"{label_voxels.py_func.__module__.rsplit('.', 1)[-1]}*.nbi"))
+    return not is_compiled(label_voxels)
 
 
 def cores() -> int:

@@ -6,8 +6,9 @@ import hashlib
 from typing import Any
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
+
+from simcore.kernels import njit
 
 _LANES = 8
 _ODD = np.uint64(0x9E3779B97F4A7C15)

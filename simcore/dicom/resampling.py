@@ -9,12 +9,12 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit, prange
 from numpy.typing import NDArray
 
 from simcore.core.artifacts import Phantom
 from simcore.core.grid import Grid
 from simcore.dicom.run_length import header, pack_row, packed_length
+from simcore.kernels import njit, prange
 
 BLOCK = 16
 """Rows that one thread samples one after the other."""

@@ -6,8 +6,9 @@ import struct
 from typing import Any
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
+
+from simcore.kernels import njit
 
 
 @njit(cache=True, nogil=True)

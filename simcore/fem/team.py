@@ -14,9 +14,9 @@ from typing import TypeVar
 
 import numba
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from simcore.kernels import njit
 from simcore.simd.atomics import add, load, replace
 
 Result = TypeVar("Result")

@@ -5,7 +5,6 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from simcore.core.artifacts import Phantom, TetMesh
@@ -14,6 +13,7 @@ from simcore.fem.laws import MaterialSpec
 from simcore.fem.laws.by_tissue import ByTissue
 from simcore.fem.laws.of_elements import ElementLaws
 from simcore.fem.laws.published import Published
+from simcore.kernels import njit
 
 Array = NDArray[Any]
 

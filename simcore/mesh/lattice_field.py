@@ -5,9 +5,9 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from simcore.kernels import njit
 from simcore.mesh.surface import OccupancyField
 
 _HALVINGS = 30

@@ -14,9 +14,9 @@ import itertools
 from typing import Any
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from simcore.kernels import njit
 from simcore.mesh.lattice_field import value_at
 from simcore.mesh.surface import OccupancyField
 

@@ -11,12 +11,12 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numba import njit, prange
 from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter
 
 from simcore.core.artifacts import Phantom
 from simcore.core.tissues import Tissue
+from simcore.kernels import njit, prange
 from simcore.mesh.structured import cube_tets
 from simcore.mesh.surface import in_front_of_wall
 

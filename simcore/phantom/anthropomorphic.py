@@ -12,7 +12,6 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit, prange
 from numpy.typing import NDArray
 
 from simcore.core.advice import one_of, where
@@ -22,6 +21,7 @@ from simcore.core.grid import Grid
 from simcore.core.progress import Progress, silent
 from simcore.core.rng import stream
 from simcore.core.tissues import MAX_TISSUES, Tissue
+from simcore.kernels import njit, prange
 from simcore.phantom import glandularity
 from simcore.phantom.ducts import carve, grow_ducts
 from simcore.phantom.glandularity import Compartment, Compartments

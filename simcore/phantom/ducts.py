@@ -10,12 +10,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit, prange
 from numpy.typing import NDArray
 
 from simcore.core.advice import one_of, where
 from simcore.core.errors import PhantomError
 from simcore.core.tissues import MAX_TISSUES, Tissue
+from simcore.kernels import njit, prange
 from simcore.phantom.glandularity import Compartments
 from simcore.phantom.outline import Outline
 from simcore.phantom.placement import gland_points

@@ -6,13 +6,13 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numba import njit, prange
 from numpy.typing import NDArray
 
 from simcore.core.errors import PhantomError
 from simcore.core.grid import Grid, Point
 from simcore.core.rng import stream
 from simcore.core.tissues import MAX_TISSUES, Tissue
+from simcore.kernels import njit, prange
 from simcore.phantom.cells import START, SXX, SXY, SXZ, SYY, SYZ, SZZ, Float32, X, Y, Z
 from simcore.phantom.glandularity import Compartments
 from simcore.phantom.lesions import Body

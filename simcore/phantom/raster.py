@@ -6,9 +6,9 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit, prange
 from numpy.typing import NDArray
 
+from simcore.kernels import njit, prange
 from simcore.phantom.cells import IDENTITY, ROWS, Float32, keep_rivals
 from simcore.phantom.rows import ADIPOSE, GLAND, LABEL, LANES, WORK, label_points, label_row
 from simcore.phantom.texture import Texture, displace_row, displaced_box

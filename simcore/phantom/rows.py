@@ -6,9 +6,9 @@ See cells.py for the quantities. ``label_row`` is for points on a line, ``label_
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
 from simcore.core.tissues import Tissue
+from simcore.kernels import njit
 from simcore.phantom.cells import START, SXX, SXY, SXZ, SYY, SYZ, SZZ, Float32, X, Y, Z
 
 LANES = 16

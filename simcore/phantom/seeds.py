@@ -7,9 +7,9 @@ from dataclasses import dataclass
 from enum import IntEnum
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from simcore.kernels import njit
 from simcore.phantom.outline import SemiAxes, similar_radius
 from simcore.phantom.spec import AnthropomorphicPhantom, CompartmentSpec
 

@@ -6,9 +6,9 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit, prange
 from numpy.typing import NDArray
 
+from simcore.kernels import njit, prange
 from simcore.phantom.cells import IDENTITY, ROWS, START, SXX, SXY, SXZ, SYY, SYZ, SZZ, Float32, X, Y, Z, keep_rivals
 from simcore.phantom.outline import Outline
 from simcore.phantom.texture import Texture, displaced, displaced_box

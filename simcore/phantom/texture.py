@@ -11,9 +11,9 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from simcore.kernels import njit
 from simcore.phantom.outline import SemiAxes
 from simcore.phantom.rows import LANES, PX, PY, PZ
 from simcore.phantom.spec import TextureSpec

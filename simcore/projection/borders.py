@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-import numba
 import numpy as np
 from numpy.typing import NDArray
 
 from simcore.core.artifacts import frozen
 from simcore.core.tissues import MAX_TISSUES
+from simcore.kernels import njit, prange
 from simcore.simd.vector import word_at
 
 PLACE_SHIFT = 8
@@ -56,10 +56,10 @@ def borders_of(labels: NDArray[np.uint8]) -> Borders:
     return Borders(frozen(start), frozen(packed), labels.shape)  # type: ignore[arg-type]
 
 
-@numba.njit(parallel=True, cache=True)
+@njit(parallel=True, cache=True)
 def _count(labels: NDArray[np.uint8], start: NDArray[np.int64]) -> None:
     nz, ny, nx = labels.shape
-    for k in numba.prange(nz):
+    for k in prange(nz):
         for j in range(ny):
             row = labels[k, j]
             total = np.int64(row[0] != 0) + np.int64(row[nx - 1] != 0)
@@ -68,10 +68,10 @@ def _count(labels: NDArray[np.uint8], start: NDArray[np.int64]) -> None:
             start[k * ny + j + 1] = total
 
 
-@numba.njit(parallel=True, cache=True)
+@njit(parallel=True, cache=True)
 def _fill(labels: NDArray[np.uint8], start: NDArray[np.int64], packed: NDArray[np.uint32]) -> None:
     nz, ny, nx = labels.shape
-    for k in numba.prange(nz):
+    for k in prange(nz):
         for j in range(ny):
             row = labels[k, j]
             at = start[k * ny + j]
@@ -93,7 +93,7 @@ def _fill(labels: NDArray[np.uint8], start: NDArray[np.int64], packed: NDArray[n
                     at += 1
 
 
-@numba.njit(cache=True)
+@njit(cache=True)
 def _labels_in(packed: NDArray[np.uint32]) -> int:
     """Bit n is set where a border has label n on either side."""
     bits = np.int64(0)
@@ -102,10 +102,10 @@ def _labels_in(packed: NDArray[np.uint32]) -> int:
     return int(bits)
 
 
-@numba.njit(parallel=True, cache=True)
+@njit(parallel=True, cache=True)
 def _row_ends(start: NDArray[np.int64], packed: NDArray[np.uint32], mu: NDArray[np.float64]) -> NDArray[np.int32]:
     ends = np.zeros(len(start) - 1, np.int32)
-    for row in numba.prange(len(ends)):
+    for row in prange(len(ends)):
         for border in range(start[row + 1] - 1, start[row] - 1, -1):
             if mu[packed[border] >> np.uint32(4) & np.uint32(15)] > 0.0:
                 ends[row] = packed[border] >> np.uint32(PLACE_SHIFT)

@@ -5,12 +5,12 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-import numba
 import numpy as np
 from numpy.typing import NDArray
 
 from simcore.core.geometry import AcquisitionGeometry
 from simcore.core.grid import Grid
+from simcore.kernels import njit
 
 
 @dataclass(frozen=True)
@@ -42,7 +42,7 @@ def shadows(ends: NDArray[np.int32], grid: Grid, geometry: AcquisitionGeometry) 
     return of_views
 
 
-@numba.njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy")
 def _shadow(
     corners: NDArray[np.int32], corner: NDArray[np.float64], spacing: NDArray[np.float64], pose: NDArray[np.float64]
 ) -> tuple[float, float, float]:

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import math
 
-import numba
 import numpy as np
 from numpy.typing import NDArray
+
+from simcore.kernels import njit
 
 Columns = tuple[NDArray[np.float64], float, float, float, float]
 """Along x. At height z a ray is at the x cell source_cell + slope share(z), share(z) = (source_z - z) / source_z, with
@@ -19,7 +20,7 @@ slice in the three lists pixel, boundary and fraction (of the slice's height); w
 ascend. Last (pixels,): the column at the top of the volume."""
 
 
-@numba.njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy")
 def crossings_of(columns: Columns, stretch: float, slices: int, boundaries: int) -> Crossings:
     """The crossings of the boundaries 0..``boundaries`` by the rays of a row with the pitch ``stretch``."""
     pixel_x, edge, source_cell, share_bottom, share_step = columns

@@ -10,10 +10,10 @@ from __future__ import annotations
 
 import math
 
-import numba
 import numpy as np
 from numpy.typing import NDArray
 
+from simcore.kernels import njit, prange
 from simcore.projection.borders import PLACE_SHIFT
 from simcore.projection.crossings import Columns, Crossings, crossings_of
 from simcore.projection.plane_prefix_rows import Rows
@@ -29,7 +29,7 @@ FLATTEST = 0.999
 """Voxel rows that a path may pass in a slice: with less than one it turns once at most."""
 
 
-@numba.njit(parallel=True, cache=True, error_model="numpy")
+@njit(parallel=True, cache=True, error_model="numpy")
 def project_lanes(
     borders: BorderLists,
     rows: Rows,
@@ -51,7 +51,7 @@ def project_lanes(
     crossings = crossings_of(columns, stretch[0], slices, reach)
     last = crossings[4]
     pixels = np.searchsorted(last, reach)  # columns at the top ascend: from here on rays pass beyond the tissue
-    for task in numba.prange(len(order)):
+    for task in prange(len(order)):
         first = order[task] * LANES
         count = min(LANES, len(stretch) - first)
         sums = zeros((borders[5] + 2) * LANES)
@@ -62,7 +62,7 @@ def project_lanes(
             out[first : first + count] = np.float32(0.0)
 
 
-@numba.njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy")
 def _run_group(
     borders: BorderLists, rows: Rows, crossings: Crossings, first: int, count: int, sums: FloatArray, image: FloatArray
 ) -> bool:
@@ -139,7 +139,7 @@ def _run_group(
     return bool(farthest > 0)
 
 
-@numba.njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy")
 def _finish(
     sums: FloatArray,
     tangent_y: NDArray[np.float64],

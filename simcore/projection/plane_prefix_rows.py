@@ -10,10 +10,10 @@ from __future__ import annotations
 
 import math
 
-import numba
 import numpy as np
 from numpy.typing import NDArray
 
+from simcore.kernels import njit, prange
 from simcore.projection.borders import PLACE_SHIFT
 from simcore.projection.crossings import Columns, Crossings, crossings_of
 from simcore.simd.aligned import zeros
@@ -46,7 +46,7 @@ def falls_of(basis: NDArray[np.float64]) -> FloatArray:
     return falls.ravel()
 
 
-@numba.njit(parallel=True, cache=True, error_model="numpy")
+@njit(parallel=True, cache=True, error_model="numpy")
 def project_rows(
     tissue: Tissue,
     rows: Rows,
@@ -68,7 +68,7 @@ def project_rows(
     tangent_x = columns[0] / source_z
     squared = (tangent_x * tangent_x).astype(np.float32)
     shared = crossings_of(columns, stretch[0], slices, ends.max() if alike else -1)
-    for task in numba.prange(len(order)):
+    for task in prange(len(order)):
         row = order[task]
         out[:, row] = np.float32(0.0)
         reach = _reach_of(ends, rows[0][row], rows[1][row])
@@ -80,7 +80,7 @@ def project_rows(
             _finish(sums, rows[2][row], rows[3][row], crossings[4], squared, edge_z, image, out[:, row])
 
 
-@numba.njit(cache=True)
+@njit(cache=True)
 def _reach_of(ends: NDArray[np.int32], bottom_y: float, top_y: float) -> int:
     """Largest x end of the voxel rows that a detector row can meet."""
     low, high = min(bottom_y, top_y), max(bottom_y, top_y)
@@ -91,7 +91,7 @@ def _reach_of(ends: NDArray[np.int32], bottom_y: float, top_y: float) -> int:
     return reach
 
 
-@numba.njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy")
 def _run_row(
     tissue: Tissue, bottom_y: float, top_y: float, crossings: Crossings, sums: FloatArray, image: FloatArray
 ) -> None:
@@ -162,7 +162,7 @@ def _run_row(
                 low = high
 
 
-@numba.njit(cache=True)
+@njit(cache=True)
 def _borders_of(
     start: NDArray[np.int64], packed: NDArray[np.uint32], ends: NDArray[np.int32], k: int, column: int
 ) -> tuple[int, int]:
@@ -176,7 +176,7 @@ def _borders_of(
     return first, stop
 
 
-@numba.njit(cache=True)
+@njit(cache=True)
 def _put(step: FloatArray, borders: tuple[int, int], packed: NDArray[np.uint32], falls: FloatArray) -> None:
     """By how much E grows in a whole slice."""
     for border in range(np.uint64(borders[0]), np.uint64(borders[1])):
@@ -184,7 +184,7 @@ def _put(step: FloatArray, borders: tuple[int, int], packed: NDArray[np.uint32],
         store(step, b, load(falls, np.int64(packed[border] & np.uint32(255)) * MAPS, MAPS))
 
 
-@numba.njit(cache=True)
+@njit(cache=True)
 def _grow(
     sums: FloatArray, step: FloatArray, borders: tuple[int, int], packed: NDArray[np.uint32], part: np.float32
 ) -> None:
@@ -195,7 +195,7 @@ def _grow(
         store(step, b, splat(np.float32(0.0), MAPS))
 
 
-@numba.njit(cache=True)
+@njit(cache=True)
 def _grow_turning(
     sums: FloatArray,
     entered: FloatArray,
@@ -214,7 +214,7 @@ def _grow_turning(
         store(left, b, splat(np.float32(0.0), MAPS))
 
 
-@numba.njit(cache=True, fastmath=FAST, error_model="numpy")
+@njit(cache=True, fastmath=FAST, error_model="numpy")
 def _finish(
     sums: FloatArray,
     stretch: float,

@@ -9,12 +9,12 @@ from __future__ import annotations
 
 import math
 
-import numba
 import numpy as np
 from numpy.typing import NDArray
 
 from simcore.core.geometry import AcquisitionGeometry
 from simcore.core.grid import Grid
+from simcore.kernels import njit, prange
 from simcore.projection.schedule import spread
 
 Vector = tuple[float, float, float]
@@ -67,7 +67,7 @@ def _occupied(
     return box
 
 
-@numba.njit(cache=True)
+@njit(cache=True)
 def _occupied_indices(
     labels: NDArray[np.uint8], mu: NDArray[np.float64]
 ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
@@ -92,7 +92,7 @@ def _occupied_indices(
     return first, last
 
 
-@numba.njit(parallel=True, cache=True)
+@njit(parallel=True, cache=True)
 def _project(
     labels: NDArray[np.uint8],
     mu: NDArray[np.float64],
@@ -107,7 +107,7 @@ def _project(
     order: NDArray[np.int64],
     out: NDArray[np.float32],
 ) -> None:
-    for task in numba.prange(len(order)):
+    for task in prange(len(order)):
         row = order[task]
         start = (source[0], source[1], source[2])
         low = (corner[0], corner[1], corner[2])
@@ -129,7 +129,7 @@ def _project(
                 out[row, column] = _siddon(labels, mu, low, edge, start, direction, enter, leave)
 
 
-@numba.njit(cache=True)
+@njit(cache=True)
 def _clip(source: Vector, direction: Vector, low: Vector, high: Vector) -> tuple[float, float]:
     """Parameters t in [0, 1] at which source + t direction enters and leaves the box; enter >= leave: a miss."""
     enter = 0.0
@@ -146,7 +146,7 @@ def _clip(source: Vector, direction: Vector, low: Vector, high: Vector) -> tuple
     return enter, leave
 
 
-@numba.njit(cache=True)
+@njit(cache=True)
 def _first_cell(position: float, direction: float, low: float, edge: float, size: int) -> tuple[int, int, int]:
     """(cell that holds the position, next plane, step) along one axis; on a plane: the cell that the ray runs into."""
     cells = (position - low) / edge
@@ -161,7 +161,7 @@ def _first_cell(position: float, direction: float, low: float, edge: float, size
     return index, index, 0
 
 
-@numba.njit(cache=True)
+@njit(cache=True)
 def _plane(plane: int, step: int, source: float, direction: float, low: float, edge: float) -> float:
     """t of a plane. From its index, not by adding steps, so that no error builds up along the ray."""
     if step == 0:
@@ -169,7 +169,7 @@ def _plane(plane: int, step: int, source: float, direction: float, low: float, e
     return (low + plane * edge - source) / direction
 
 
-@numba.njit(cache=True)
+@njit(cache=True)
 def _siddon(
     labels: NDArray[np.uint8],
     mu: NDArray[np.float64],
@@ -212,7 +212,7 @@ def _siddon(
     return total * math.sqrt(dx * dx + dy * dy + dz * dz)
 
 
-@numba.njit(cache=True)
+@njit(cache=True)
 def _trilinear(
     labels: NDArray[np.uint8],
     mu: NDArray[np.float64],
@@ -254,7 +254,7 @@ def _trilinear(
     return total * step_mm
 
 
-@numba.njit(cache=True)
+@njit(cache=True)
 def _neighbours(cells: float, size: int) -> tuple[np.uint64, np.uint64, float]:
     """The two voxel centres around a position >= -0.5 in voxel units, and the weight of the second."""
     index = int(cells + 1.0) - 1

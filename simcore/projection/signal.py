@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-import numba
 import numpy as np
 from numpy.typing import NDArray
+
+from simcore.kernels import njit, prange
 
 LARGEST = 40.0
 """exp(-LARGEST) of any open field rounds to 0."""
@@ -28,7 +29,7 @@ def pixel_values(
     return out
 
 
-@numba.njit(cache=True)
+@njit(cache=True)
 def attenuation(integral: float) -> float:
     """exp(-integral), integral in [0, LARGEST], by a polynomial of integral / 2^HALVINGS, squared HALVINGS times.
 
@@ -42,11 +43,11 @@ def attenuation(integral: float) -> float:
     return value
 
 
-@numba.njit(parallel=True, cache=True, error_model="numpy")
+@njit(parallel=True, cache=True, error_model="numpy")
 def _pixel_values(integrals: NDArray[np.float32], open_field: float, largest: float, out: NDArray[np.uint16]) -> None:
     ny, nx = integrals.shape
     beside = int(min(open_field * attenuation(0.0) + 0.5, largest))
-    for j in numba.prange(ny):
+    for j in prange(ny):
         # Beyond the nipple lies air, more than half of a detector.
         end = nx
         while end > 0 and integrals[j, end - 1] <= np.float32(0.0):
@@ -57,12 +58,12 @@ def _pixel_values(integrals: NDArray[np.float32], open_field: float, largest: fl
         out[j, end:] = beside
 
 
-@numba.njit(parallel=True, cache=True, error_model="numpy")
+@njit(parallel=True, cache=True, error_model="numpy")
 def _mean_pixel_values(
     integrals: NDArray[np.float32], open_field: float, largest: float, rays: int, out: NDArray[np.uint16]
 ) -> None:
     ny, nx = out.shape
-    for j in numba.prange(ny):
+    for j in prange(ny):
         mean = np.zeros(nx)
         for row in range(j * rays, (j + 1) * rays):
             for i in range(nx):

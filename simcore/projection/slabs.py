@@ -10,11 +10,11 @@ import csv
 import math
 from importlib import resources
 
-import numba
 import numpy as np
 from numpy.typing import NDArray
 
 from simcore.core.geometry import AcquisitionGeometry
+from simcore.kernels import njit, prange
 from simcore.projection.spec import SlabSpec
 
 FloatArray = NDArray[np.float32]
@@ -50,7 +50,7 @@ def add_slabs(upright: float, geometry: AcquisitionGeometry, view: int, integral
     )
 
 
-@numba.njit(parallel=True, cache=True)
+@njit(parallel=True, cache=True)
 def _add(
     upright: float,
     first_ray: NDArray[np.float64],
@@ -59,7 +59,7 @@ def _add(
     integrals: FloatArray,
 ) -> None:
     ny, nx = integrals.shape
-    for j in numba.prange(ny):
+    for j in prange(ny):
         for i in range(nx):
             x = first_ray[0] + j * row_step[0] + i * column_step[0]
             y = first_ray[1] + j * row_step[1] + i * column_step[1]

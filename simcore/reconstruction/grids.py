@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit, prange
 from numpy.typing import NDArray
 
 from simcore.core.artifacts import ProjectionStack
 from simcore.core.grid import Grid
+from simcore.kernels import njit, prange
 from simcore.reconstruction.extent import SHADOW_MARGIN_MM, in_region, within
 from simcore.reconstruction.kinds.common import VolumeSpec
 

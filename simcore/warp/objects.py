@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-import numba
 import numpy as np
 from numpy.typing import NDArray
 
 from simcore.core.tissues import Tissue
+from simcore.kernels import njit, prange
 
 Indices = NDArray[np.int64]
 
@@ -98,11 +98,11 @@ def components(labels: NDArray[np.uint8], tissue: int) -> tuple[Indices, Indices
     return flat, (np.cumsum(first == np.arange(len(flat))) - 1)[first]
 
 
-@numba.njit(parallel=True, cache=True)
+@njit(parallel=True, cache=True)
 def _places(labels: NDArray[np.uint8], tissue: np.uint8) -> Indices:
     nz, ny, nx = labels.shape
     start = np.zeros(nz + 1, np.int64)
-    for k in numba.prange(nz):
+    for k in prange(nz):
         count = 0
         for j in range(ny):
             for i in range(nx):
@@ -110,7 +110,7 @@ def _places(labels: NDArray[np.uint8], tissue: np.uint8) -> Indices:
         start[k + 1] = count
     start = np.cumsum(start)
     places = np.empty(start[nz], np.int64)
-    for k in numba.prange(nz):
+    for k in prange(nz):
         at = start[k]
         if start[k + 1] > at:
             for j in range(ny):
@@ -121,7 +121,7 @@ def _places(labels: NDArray[np.uint8], tissue: np.uint8) -> Indices:
     return places
 
 
-@numba.njit(cache=True)
+@njit(cache=True)
 def joined(flat: Indices, owner: Indices, shape: Indices, count: int) -> tuple[Indices, NDArray[np.bool_]]:
     """Pieces of voxels (n,) of an array of ``shape``: neighbours (26) with the same owner belong together.
 
@@ -156,7 +156,7 @@ def joined(flat: Indices, owner: Indices, shape: Indices, count: int) -> tuple[I
     return root, touching
 
 
-@numba.njit(cache=True)
+@njit(cache=True)
 def _top(root: Indices, n: int) -> int:
     while root[n] != n:
         root[n] = root[root[n]]
@@ -169,7 +169,7 @@ def erase(labels: NDArray[np.uint8], voxels: Indices) -> None:
     _fill(labels, voxels)
 
 
-@numba.njit(cache=True)
+@njit(cache=True)
 def _fill(labels: NDArray[np.uint8], voxels: Indices) -> None:
     """From the rim inwards: what most of the six neighbours are that are known; air only where all are."""
     nz, ny, nx = labels.shape

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-import numba
 import numpy as np
 from numpy.typing import NDArray
 
 from simcore.core.artifacts import TetMesh
+from simcore.kernels import njit, prange
 from simcore.warp.maps import barycentric_weights
 
 Floats = NDArray[np.float64]
@@ -67,7 +67,7 @@ class ForwardMap:
         return np.asarray(np.einsum("pn,pna->pa", shares, self.deformed[tets]))
 
 
-@numba.njit(cache=True)
+@njit(cache=True)
 def _cells(cells: Indices, shape: Indices) -> tuple[Indices, Indices]:
     """Tetrahedra by cell. cells: (m, 2, 3) first and last cell of each tetrahedron's box."""
     start = np.zeros(shape[0] * shape[1] * shape[2] + 1, np.int64)
@@ -89,12 +89,12 @@ def _cells(cells: Indices, shape: Indices) -> tuple[Indices, Indices]:
     return start, members
 
 
-@numba.njit(parallel=True, cache=True, error_model="numpy")
+@njit(parallel=True, cache=True, error_model="numpy")
 def _locate(
     points: Floats, weights: Floats, corner: Floats, edge: float, shape: Indices, start: Indices, members: Indices
 ) -> Indices:
     result = np.empty(len(points), np.int64)
-    for p in numba.prange(len(points)):
+    for p in prange(len(points)):
         cell = np.int64(0)
         for axis in range(2, -1, -1):
             at = np.int64(np.floor((points[p, axis] - corner[axis]) / edge))
@@ -113,7 +113,7 @@ def _locate(
     return result
 
 
-@numba.njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy")
 def _least_weight(weight: Floats, point: Floats) -> float:
     least = np.inf
     for n in range(4):

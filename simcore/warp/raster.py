@@ -8,11 +8,11 @@ from __future__ import annotations
 
 import math
 
-import numba
 import numpy as np
 from numpy.typing import NDArray
 
 from simcore.core.tissues import MAX_TISSUES
+from simcore.kernels import njit, prange
 from simcore.simd.vector import word_at
 from simcore.warp.maps import TetMaps
 from simcore.warp.pieces import Pieces
@@ -42,7 +42,7 @@ def rasterise(pieces: Pieces, maps: TetMaps, source: NDArray[np.uint8], out: NDA
     return int(written)
 
 
-@numba.njit(cache=True)
+@njit(cache=True)
 def _slabs(bounds: NDArray[np.int64], slabs: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     """Pieces of each slab of rows: order[start[s]:start[s + 1]], ascending."""
     start = np.zeros(slabs + 1, np.int64)
@@ -61,7 +61,7 @@ def _slabs(bounds: NDArray[np.int64], slabs: int) -> tuple[NDArray[np.int64], ND
     return start, order
 
 
-@numba.njit(parallel=True, cache=True, error_model="numpy")
+@njit(parallel=True, cache=True, error_model="numpy")
 def _rasterise(
     start: NDArray[np.int64],
     order: NDArray[np.int64],
@@ -78,7 +78,7 @@ def _rasterise(
     written = np.zeros(slabs, np.int64)
     # Slabs 0, 7, 14, .. come first: consecutive ones, which are all thick or all thin, go to different threads.
     stride = 7 if slabs % 7 else 5 if slabs % 5 else 1
-    for task in numba.prange(slabs):
+    for task in prange(slabs):
         slab = task * stride % slabs
         planes = np.empty((3, 5, 3))
         box = np.empty((2, 3), np.int64)
@@ -93,7 +93,7 @@ def _rasterise(
     return int(written.sum())
 
 
-@numba.njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy")
 def _planes(
     weight: NDArray[np.float64], slack: NDArray[np.float64], outside: int, planes: NDArray[np.float64]
 ) -> tuple[int, int, int]:
@@ -116,7 +116,7 @@ def _planes(
     return counts[0], counts[1], counts[2]
 
 
-@numba.njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy")
 def _piece(
     source: NDArray[np.uint8],
     place: NDArray[np.float64],
@@ -171,7 +171,7 @@ def _piece(
     return written
 
 
-@numba.njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy")
 def _row_at_the_edge(
     source: NDArray[np.uint8],
     x: float,
@@ -206,7 +206,7 @@ def _row_at_the_edge(
     return written
 
 
-@numba.njit(cache=True)
+@njit(cache=True)
 def _spans(start: float, change: float, size: int) -> bool:
     """True where start and start + change both lie in [0, size), by more than what rounding does on the way."""
     return min(start, start + change) >= ROUNDING and max(start, start + change) < size - ROUNDING
@@ -220,12 +220,12 @@ def census(labels: NDArray[np.uint8]) -> NDArray[np.int64]:
     return counts
 
 
-@numba.njit(parallel=True, cache=True)
+@njit(parallel=True, cache=True)
 def _census(labels: NDArray[np.uint8]) -> NDArray[np.int64]:
     nz, ny, nx = labels.shape
     counts = np.zeros((nz, MAX_TISSUES), np.int64)
     whole = nx - nx % 8
-    for k in numba.prange(nz):
+    for k in prange(nz):
         table = np.zeros(256, np.int64)
         for j in range(ny):
             row = labels[k, j]
@@ -244,13 +244,13 @@ def _census(labels: NDArray[np.uint8]) -> NDArray[np.int64]:
     return counts
 
 
-@numba.njit(parallel=True, cache=True)
+@njit(parallel=True, cache=True)
 def count_holes(labels: NDArray[np.uint8]) -> int:
     """Air voxels with tissue on all six sides."""
     nz, ny, nx = labels.shape
     holes = np.zeros(nz, np.int64)
     whole = nx - nx % 8
-    for k in numba.prange(1, nz - 1):
+    for k in prange(1, nz - 1):
         for j in range(1, ny - 1):
             row = labels[k, j]
             for first in range(0, whole, 8):
@@ -262,7 +262,7 @@ def count_holes(labels: NDArray[np.uint8]) -> int:
     return int(holes.sum())
 
 
-@numba.njit(cache=True)
+@njit(cache=True)
 def _holes(labels: NDArray[np.uint8], k: int, j: int, first: int, stop: int) -> int:
     """Holes of one voxel among the voxels first..stop - 1 of an inner row, none at its ends."""
     count = 0

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import numba
 import numpy as np
 from numpy.typing import NDArray
 
 from simcore.core.grid import Grid
 from simcore.core.tissues import Tissue
+from simcore.kernels import njit
 from simcore.warp.objects import Indices, Objects, tolerance
 from simcore.warp.points import Floats, ForwardMap
 
@@ -51,7 +51,7 @@ def stamp(
     return filled, merged
 
 
-@numba.njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy")
 def _stamp(
     which: Indices,
     tissue: NDArray[np.uint8],
@@ -80,7 +80,7 @@ def _stamp(
             filled[c] = _grow(cover, middle, free, reached, filled[c], most[c], out, corner, tissue[c])
 
 
-@numba.njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy")
 def _cover(centres: Floats, steps: Floats) -> tuple[Indices, Indices]:
     """(first voxel (x, y, z) of a box about an object, samples of the object in each voxel of the box (z, y, x))"""
     corner, far = np.empty(3, np.int64), np.empty(3, np.int64)
@@ -104,7 +104,7 @@ def _cover(centres: Floats, steps: Floats) -> tuple[Indices, Indices]:
     return corner, cover
 
 
-@numba.njit(cache=True)
+@njit(cache=True)
 def _free(
     out: NDArray[np.uint8], corner: Indices, shape: tuple[int, int, int], tissue: np.uint8, room: int
 ) -> NDArray[np.bool_]:
@@ -125,7 +125,7 @@ def _free(
     return free
 
 
-@numba.njit(cache=True)
+@njit(cache=True)
 def _touches(out: NDArray[np.uint8], z: int, y: int, x: int, tissue: np.uint8) -> bool:
     nz, ny, nx = out.shape
     for c in range(max(z - 1, 0), min(z + 2, nz)):
@@ -136,7 +136,7 @@ def _touches(out: NDArray[np.uint8], z: int, y: int, x: int, tissue: np.uint8) -
     return False
 
 
-@numba.njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy")
 def _grow(
     cover: Indices,
     middle: Floats,

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import numba
 import numpy as np
 from numpy.typing import NDArray
 
@@ -11,6 +10,7 @@ from simcore.core.artifacts import Phantom, Report, TetMesh
 from simcore.core.errors import SolverError
 from simcore.core.grid import Grid
 from simcore.core.tissues import MAX_TISSUES
+from simcore.kernels import njit, prange
 from simcore.warp.spec import MOST_SKIRT_MM, WarpSpec
 
 SAMPLES = 4
@@ -45,12 +45,12 @@ def _sample_weights(edge: int) -> NDArray[np.float64]:
     return (np.concatenate([first, edge - 1 - first.sum(axis=1, keepdims=True)], axis=1) + 0.25) / edge
 
 
-@numba.njit(parallel=True, cache=True, error_model="numpy")
+@njit(parallel=True, cache=True, error_model="numpy")
 def _shares(cells: NDArray[np.float64], weights: NDArray[np.float64], labels: NDArray[np.uint8]) -> NDArray[np.float64]:
     """Share of every label among the samples of each tetrahedron. cells: (m, 4, 3) nodes in voxels from the corner."""
     nz, ny, nx = labels.shape
     shares = np.zeros((len(cells), MAX_TISSUES))
-    for m in numba.prange(len(cells)):
+    for m in prange(len(cells)):
         for s in range(len(weights)):
             x = y = z = 0.0
             for n in range(4):

@@ -7,9 +7,9 @@ Stress S = 2 mu dev(E) + p 1 with p = kappa tr(E) averaged at the nodes. E is th
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
 from simcore.fem.elements.geometry import Array, deformation_gradient
+from simcore.kernels import njit
 
 
 @njit(cache=True, nogil=True)

@@ -14,10 +14,10 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from simcore.fem.elements.geometry import Array
+from simcore.kernels import njit
 
 _PAIRS = [(a, b) for a in range(3) for b in range(a, 3)]
 

@@ -6,7 +6,6 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from simcore.core.artifacts import TetMesh
@@ -16,6 +15,7 @@ from simcore.fem.elements.membrane import Membrane
 from simcore.fem.elements.neo_hookean import assemble_neo_hookean
 from simcore.fem.elements.principal import assemble_principal
 from simcore.fem.laws.of_elements import ElementLaws
+from simcore.kernels import njit
 from simcore.simd import aligned
 
 Floats = NDArray[np.float64]

@@ -15,10 +15,10 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from numba import njit
 
 from simcore.fem.blocks import add, in_columns, in_rows, on_diagonal, row_of
 from simcore.fem.elements.geometry import Array, cofactors, deformation
+from simcore.kernels import njit
 from simcore.simd.vector import fma, plus, times
 
 

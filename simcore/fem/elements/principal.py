@@ -11,10 +11,10 @@ Holzapfel, Nonlinear Solid Mechanics (2000), section 6.6.
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
 from simcore.fem.elements.geometry import Array, deformation_gradient, inverse_transpose
 from simcore.fem.laws.energies import add_energy_derivatives
+from simcore.kernels import njit
 
 _EQUAL = 1e-5
 """Relative difference of squared stretches below which the limit of equal ones is used (error of its square)."""

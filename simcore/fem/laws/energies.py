@@ -12,11 +12,11 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from simcore.fem.laws.law import Energy, InvariantEnergy, LinearEnergy, LogarithmicEnergy
 from simcore.fem.laws.plain import ENERGIES
+from simcore.kernels import njit
 
 Array = NDArray[Any]
 

@@ -12,11 +12,11 @@ from __future__ import annotations
 from typing import Any, NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from simcore.fem.blocks import add, block_at, in_columns, in_rows, put, row_at, row_of, sum_of_columns, sum_of_rows
 from simcore.fem.team import LEAVE, begin, finish, tickets, together
+from simcore.kernels import njit
 from simcore.simd.aligned import Singles, empty
 from simcore.simd.vector import fma, times
 

@@ -6,7 +6,6 @@ from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from simcore.fem.elements.model import Floats, Pattern, System
@@ -14,6 +13,7 @@ from simcore.fem.linear import conjugate_gradients
 from simcore.fem.linear.conjugate_gradients import Guarded, Operator, project
 from simcore.fem.linear.preconditioner import invert_diagonal
 from simcore.fem.plates.constraints import Constraints
+from simcore.kernels import njit
 from simcore.simd.aligned import Singles, empty
 
 Array = NDArray[Any]

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from simcore.core.artifacts import Report
 from simcore.fem.elements.geometry import Array, cross
 from simcore.fem.elements.model import Floats, Model
 from simcore.fem.elements.strain import principal_stretches
+from simcore.kernels import njit
 
 PERCENTILES = (1, 50, 99)
 

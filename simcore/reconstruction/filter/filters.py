@@ -36,11 +36,11 @@ from typing import Literal
 
 import numpy as np
 import scipy.fft
-from numba import njit
 from numpy.typing import NDArray
 
 from simcore.core.errors import GeometryError
 from simcore.core.geometry import AcquisitionGeometry
+from simcore.kernels import njit
 from simcore.reconstruction.filter.fourier import convolve_columns
 from simcore.reconstruction.kinds.fbp import FilteredBackprojection
 

@@ -14,10 +14,10 @@ from functools import cache
 from typing import Any
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from simcore.core.artifacts import frozen
+from simcore.kernels import njit
 from simcore.simd import aligned
 from simcore.simd.vector import LANES, fma, load, minus, negative, plus, splat, store, times
 

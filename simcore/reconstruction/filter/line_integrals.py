@@ -5,11 +5,11 @@ from __future__ import annotations
 from functools import cache
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from simcore.core.artifacts import ProjectionStack, frozen
 from simcore.core.geometry import AcquisitionGeometry
+from simcore.kernels import njit
 from simcore.reconstruction.filter.filters import chord_weights
 
 FloatArray = NDArray[np.float32]

@@ -11,11 +11,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit, prange
 from numpy.typing import NDArray
 
 from simcore.core.geometry import AcquisitionGeometry
 from simcore.core.grid import Grid
+from simcore.kernels import njit, prange
 from simcore.reconstruction.operators.interpolation import row_weights
 from simcore.reconstruction.operators.lanes import ROWS, add_resampled_rows, padded_width, padding
 from simcore.simd.vector import LANES, fma, load, splat, store, times

@@ -7,9 +7,9 @@ are products of a factor along y and one along x, for the interpolation is: no a
 from __future__ import annotations
 
 import numpy as np
-from numba import njit, prange
 from numpy.typing import NDArray
 
+from simcore.kernels import njit, prange
 from simcore.reconstruction.operators.lanes import ROWS
 from simcore.reconstruction.operators.slice_kernels import Gathering, gather_rows
 

@@ -8,8 +8,9 @@ x are the same for all rows of a slice.
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
+
+from simcore.kernels import njit
 
 FloatArray = NDArray[np.float32]
 

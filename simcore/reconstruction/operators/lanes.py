@@ -14,9 +14,9 @@ The transpose of linear interpolation at positions a + i b is the same sum, with
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from simcore.kernels import njit
 from simcore.simd.vector import LANES, fma, load, magnitude, maximum, minus, negative, ramp, splat, store
 
 FloatArray = NDArray[np.float32]

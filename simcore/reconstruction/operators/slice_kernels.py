@@ -8,9 +8,9 @@ rows before it resamples. Lengths of rays are not in here: weights are those of 
 from __future__ import annotations
 
 import numpy as np
-from numba import njit, prange
 from numpy.typing import NDArray
 
+from simcore.kernels import njit, prange
 from simcore.reconstruction.operators.interpolation import add_two_rows, row_weights
 from simcore.reconstruction.operators.lanes import ROWS, add_resampled_rows
 

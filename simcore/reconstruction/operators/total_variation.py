@@ -6,8 +6,9 @@ Within a slice alone: a tomosynthesis volume knows little of depth, and slices t
 from __future__ import annotations
 
 import numpy as np
-from numba import njit, prange
 from numpy.typing import NDArray
+
+from simcore.kernels import njit, prange
 
 FloatArray = NDArray[np.float32]
 STEP = 0.248
