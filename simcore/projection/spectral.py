@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-import numba
 import numpy as np
 from numpy.typing import NDArray
+
+from simcore.kernels import njit, prange
 
 LARGEST = 40.0
 """exp(-LARGEST) of any open field is nothing."""
@@ -31,7 +32,7 @@ def spectral_sums(
     _sums(integrals, *single, signal, variance)
 
 
-@numba.njit(parallel=True, cache=True, fastmath=True, error_model="numpy")
+@njit(parallel=True, cache=True, fastmath=True, error_model="numpy")
 def _sums(
     integrals: NDArray[np.float32],
     curves: NDArray[np.float32],
@@ -40,7 +41,7 @@ def _sums(
     variance: NDArray[np.float32],
 ) -> None:
     maps, ny, nx = integrals.shape
-    for j in numba.prange(ny):
+    for j in prange(ny):
         exponents = np.empty(nx, np.float32)
         signal[j, :] = np.float32(0.0)
         variance[j, :] = np.float32(0.0)
@@ -57,7 +58,7 @@ def _sums(
                 variance[j, i] += of_variance * share
 
 
-@numba.njit(cache=True, fastmath=True)
+@njit(cache=True, fastmath=True)
 def transmission(exponent: np.float32) -> np.float32:
     """exp(-exponent) in single precision, exponent in [0, LARGEST]: the polynomial of a 64th part, squared six times,
     which vectorises where the standard library's does not."""
