@@ -2,8 +2,12 @@
 
 from __future__ import annotations
 
+import csv
+import json
 from collections.abc import Callable
 from dataclasses import dataclass
+from importlib import resources
+from typing import Any
 
 from simcore.core.errors import SpecError
 from simcore.fem.spec import CompressionSpec
@@ -50,58 +54,22 @@ def _system(title: str, acquisition: AcquisitionSpec) -> SimulationSpec:
     return paper_case("c", 50).with_(name=title, acquisition=acquisition)
 
 
-_SYSTEMS: dict[str, tuple[str, AcquisitionSpec]] = {
-    "ge-senographe-ds": (
-        "GE Senographe DS prototype of the paper: 15 views over 40 degrees, stationary detector",
-        AcquisitionSpec(),
-    ),
-    "ge-pristina": (
-        "GE SenoClaire / Senographe Pristina: 9 views over 25 degrees, stationary detector",
-        AcquisitionSpec(
-            source_to_detector_mm=660.0,
-            isocenter_height_mm=40.0,
-            angular_range_degrees=25.0,
-            views=9,
-            air_gap_mm=22.0,
-            detector=DetectorSpec(pixels_x=2394, pixels_y=3062, pixel_mm=0.1),
-        ),
-    ),
-    "hologic-dimensions": (
-        "Hologic Selenia Dimensions: 15 views over 15 degrees, detector turns by 4.2 degrees",
-        AcquisitionSpec(
-            source_to_detector_mm=700.0,
-            isocenter_height_mm=0.0,
-            angular_range_degrees=15.0,
-            views=15,
-            detector_range_degrees=4.2,
-            air_gap_mm=25.0,
-            detector=DetectorSpec(pixels_x=1664, pixels_y=2048, pixel_mm=0.14),
-        ),
-    ),
-    "siemens-inspiration": (
-        "Siemens Mammomat Inspiration: 25 views over 50 degrees, stationary detector",
-        AcquisitionSpec(
-            source_to_detector_mm=650.0,
-            isocenter_height_mm=47.0,
-            angular_range_degrees=50.0,
-            views=25,
-            air_gap_mm=17.0,
-            detector=DetectorSpec(pixels_x=2816, pixels_y=3584, pixel_mm=0.085),
-        ),
-    ),
-    "fda-recondbt": (
-        "FDA ReconDBT example: 7 views over 30 degrees, 0.4 mm pixels",
-        AcquisitionSpec(
-            source_to_detector_mm=650.0,
-            isocenter_height_mm=45.0,
-            angular_range_degrees=30.0,
-            views=7,
-            air_gap_mm=20.0,
-            detector=DetectorSpec(pixels_x=170, pixels_y=615, pixel_mm=0.4),
-            truncation="allow",
-        ),
-    ),
-}
+def _systems() -> dict[str, tuple[str, AcquisitionSpec]]:
+    """Title and geometry of every system of simcore/data/systems.csv.
+
+    raises: pydantic.ValidationError where a row is no field of an acquisition, or its value is out of range
+    """
+    titles: dict[str, str] = {}
+    geometries: dict[str, dict[str, Any]] = {}
+    with resources.files("simcore.data").joinpath("systems.csv").open(encoding="utf-8") as lines:
+        for row in csv.DictReader(lines):
+            titles[row["system"]] = titles.get(row["system"]) or row["title"]
+            *parents, name = row["field"].split(".")
+            part = geometries.setdefault(row["system"], {})
+            for parent in parents:
+                part = part.setdefault(parent, {})
+            part[name] = json.loads(row["value"])
+    return {system: (titles[system], AcquisitionSpec.model_validate(fields)) for system, fields in geometries.items()}
 
 
 def _tiny() -> SimulationSpec:
@@ -138,7 +106,7 @@ def _build() -> dict[str, Preset]:
                 lambda r=r, v=v: paper_case("c", 20, r, v).with_(name=f"cup C, 20 %, {r}/{v}"),  # type: ignore[misc]
             )
         )
-    for name, (title, acquisition) in _SYSTEMS.items():
+    for name, (title, acquisition) in _systems().items():
         presets.append(
             Preset(
                 name,

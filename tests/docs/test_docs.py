@@ -1,5 +1,7 @@
 """What the documentation says is there: settings, links, presets, commands."""
 
+import csv
+import json
 import re
 from pathlib import Path
 
@@ -46,3 +48,17 @@ def test_the_python_example_of_the_readme_runs(tmp_path: Path, monkeypatch: pyte
     exec(compile(code[1], "README.md", "exec"), {})
     assert re.fullmatch(r"\d+\.\d+ N\n", capsys.readouterr().out)
     assert (tmp_path / "case" / "manifest.json").exists()
+
+
+def test_the_page_of_presets_shows_the_geometries_and_cups_of_the_data_with_their_sources():
+    text = (ROOT / "docs" / "presets.md").read_text()
+    data = ROOT / "simcore" / "data"
+    rows = list(csv.DictReader((data / "systems.csv").read_text().splitlines()))
+    lines = [f"| `{r['system']}` | `{r['field']}` | {json.loads(r['value'])} | {r['source']} |" for r in rows]
+    for cup, (volume, compartments) in presets.CUPS.items():
+        names = ", ".join(f"`paper-cup-{cup}-{percent}`" for percent in presets.PERCENTS)
+        lines.append(f"| {names} | {cup.upper()} | {volume:g} ml | {compartments} |")
+    shown = [line for line in text.splitlines() if line.startswith("| `")]
+    assert sorted(shown) == sorted(lines)
+    section = (data / "SOURCES.md").read_text().partition("## systems.csv")[2]
+    assert {row["source"] for row in rows} == set(re.findall(r"^\| ([A-Z]\d?) \|", section, re.MULTILINE))
