@@ -133,7 +133,7 @@ class Settings(BaseSettings):
     secrets_folder: str = Field(
         "", description="certificates and keys of destinations; empty: secrets in the data folder"
     )
-    log_level: Literal["DEBUG", "INFO", "WARNING", "ERROR"] = "INFO"
+    log_level: Literal["DEBUG", "INFO", "WARNING", "ERROR"] = Field("INFO", description="least level of log lines")
     pipeline: str = Field(
         "simcore.pipeline:run", description="module:function that runs a case; another one for tests only"
     )
