@@ -1,5 +1,6 @@
 """How the code lies in its rooms."""
 
+import re
 import tomllib
 from collections import Counter
 from importlib.metadata import version
@@ -76,3 +77,11 @@ def test_the_picture_of_the_architecture_is_that_of_the_import_contracts():
             inside = contract.get("containers", [""])[0]
             rows = [layer.replace(f"{inside}." if inside else "\0", "") for layer in contract["layers"]]
             assert "\n".join(f"    {row}" for row in rows) in page
+
+
+@pytest.mark.parametrize("page", sorted((ROOT / "docs" / "decisions").glob("*.md")), ids=lambda p: p.name)
+def test_a_decision_has_a_context_a_decision_and_consequences(page):
+    title, *parts = re.split(r"^## ", page.read_text(), flags=re.MULTILINE)
+    assert re.fullmatch(rf"# {int(page.name[:4])}\. \S.*\n\n", title)
+    assert [part.partition("\n")[0] for part in parts] == ["Context", "Decision", "Consequences"]
+    assert all(part.partition("\n")[2].strip() for part in parts)
