@@ -150,7 +150,7 @@ class TransportResult:
 
     scatter:          float32 (views, rows, columns), energy of scattered photons that the detector absorbs,
         keV / mm^2: means over the cells of a coarse grid that covers the detector; its rows and columns go with those
-        of the pixels (core.upsampling.spread_over_pixels).
+        of the pixels (physics.upsampling.spread_over_pixels).
     scatter_variance: float32, the same shape: sum of the squares of these energies, keV^2 / mm^2. N photons a steradian
         give a signal of N scatter with a variance of N scatter_variance / area (without what the detector adds).
     report: dose and energies with their statistical errors, see docs/xray_transport.md.

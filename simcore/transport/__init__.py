@@ -5,14 +5,14 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING
 
-from simcore.core.artifacts import Phantom, TransportResult
-from simcore.core.geometry import AcquisitionGeometry
 from simcore.core.progress import Progress, silent
-from simcore.core.tissues import Tissue
-from simcore.physics.materials import Material
 from simcore.transport.spec import BodySpec, TransportSpec
 
-if TYPE_CHECKING:
+if TYPE_CHECKING:  # whoever reads a specification needs no numerics
+    from simcore.core.artifacts import Phantom, TransportResult
+    from simcore.core.geometry import AcquisitionGeometry
+    from simcore.core.tissues import Tissue
+    from simcore.physics.materials import Material
     from simcore.transport.response import DetectorResponse, GridTransmission
     from simcore.transport.scene import Plate
     from simcore.transport.views import Spectrum

@@ -8,11 +8,11 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-import numba
 import numpy as np
 from numpy.typing import NDArray
 
 from simcore.core.grid import Grid, Point
+from simcore.kernels import njit, prange
 from simcore.transport import draws
 from simcore.transport.compiled import inner, outer
 
@@ -105,7 +105,7 @@ def _deal(
     for each cell, so that every label is expected as often as it is there."""
     cz, cy, cx = codes.shape
     nz, ny, nx = labels.shape
-    for k in numba.prange(cz):
+    for k in prange(cz):
         counts = np.empty((cx, LABELS), np.int64)
         for j in range(cy):
             counts[:] = 0
@@ -145,7 +145,7 @@ def _taken_for(counts: NDArray[np.int64], becomes: NDArray[np.float64], label: i
     return total
 
 
-@numba.njit(cache=True)
+@njit(cache=True)
 def _numbered(codes: NDArray[np.uint64]) -> tuple[NDArray[np.uint16], NDArray[np.uint64], int]:
     """Numbers in the order of first sight by an open hash table, the codes of the numbers, and how many there are."""
     mask = (1 << TABLE_BITS) - 1

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-import numba
+from simcore.kernels import njit
 
-inner = numba.njit(fastmath=True, _nrt=False)
+inner = njit(fastmath=True, _nrt=False)
 """Functions of one photon. They allocate nothing, so arrays are not counted when they are handed on: counting took half
 of the time. They are not inlined by numba, which loses what they write into arrays of a NamedTuple."""
 
-outer = numba.njit(parallel=True, cache=True, fastmath=True, error_model="numpy")
+outer = njit(parallel=True, cache=True, fastmath=True, error_model="numpy")
 """Loops over blocks or rows."""

@@ -16,10 +16,10 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
-import numba
 import numpy as np
 from numpy.typing import NDArray
 
+from simcore.kernels import prange
 from simcore.transport import draws
 from simcore.transport.cells import CARDS
 from simcore.transport.collisions import (
@@ -108,7 +108,7 @@ def run_histories(
     """
     blocks = len(signal)
     steps = len(layers.top)
-    for block in numba.prange(blocks):
+    for block in prange(blocks):
         tally = Tally(signal[block], deposit[block], depth[block], energy[block])
         scratch = Scratch(np.empty(steps), np.empty(steps), np.empty(steps, np.int64), np.empty(steps))
         for index in range(rays * block // blocks, rays * (block + 1) // blocks):

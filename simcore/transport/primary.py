@@ -5,11 +5,11 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
-import numba
 import numpy as np
 from numpy.typing import NDArray
 
 from simcore.core.geometry import AcquisitionGeometry
+from simcore.kernels import prange
 from simcore.transport.collisions import Screen
 from simcore.transport.compiled import inner, outer
 from simcore.transport.histories import Beam, Start
@@ -84,7 +84,7 @@ def _cast(
     response: Response, out: FloatArray,
 ) -> None:  # fmt: skip
     rows, columns = out.shape[1:]
-    for j in numba.prange(rows):
+    for j in prange(rows):
         depth = np.empty(len(groups.energy) + 1)
         for i in range(columns):
             for ray in range(RAYS_PER_EDGE * RAYS_PER_EDGE):
