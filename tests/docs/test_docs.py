@@ -3,6 +3,7 @@
 import csv
 import json
 import re
+from importlib.util import find_spec
 from pathlib import Path
 
 import pytest
@@ -12,7 +13,7 @@ from tomosim.cli import _parser
 from worker.settings import SECRETS, Settings
 
 ROOT = Path(__file__).parents[2]
-PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]
+PAGES = [*sorted(ROOT.glob("*.md")), *sorted((ROOT / "docs").rglob("*.md"))]
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda p: p.name)
@@ -72,3 +73,18 @@ def test_the_page_of_presets_shows_the_geometries_and_cups_of_the_data_with_thei
     assert sorted(shown) == sorted(lines)
     section = (data / "SOURCES.md").read_text().partition("## systems.csv")[2]
     assert {row["source"] for row in rows} == set(re.findall(r"^\| ([A-Z]\d?) \|", section, re.MULTILINE))
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda p: p.name)
+def test_benches_on_the_pages_exist(page: Path):
+    for name in re.findall(r"python -m\s+(bench[.\w]*\w)", page.read_text()):
+        assert find_spec(name) is not None, name
+
+
+def test_the_page_of_performance_is_one_table_that_says_of_every_figure_when_it_was_measured():
+    text = (ROOT / "docs" / "performance.md").read_text()
+    head, line, *rows = [row for row in text.splitlines() if row.startswith("|")]
+    assert set(line) == {"|", "-", " "}
+    assert all(row.count("|") == head.count("|") for row in rows)
+    assert all(re.search(r"\| \d{1,2} (Nov|Dec)[^|]* \|$", row) for row in rows)
+    assert text.count("\n| ---") == 1
