@@ -127,6 +127,28 @@ class ProjectionStack:
 
 
 @dataclass(frozen=True, eq=False)
+class Primary:
+    """What the detector absorbs of the primary beam in every view, without noise, for one photon that the source sends
+    into a steradian.
+
+    signal:   float32 (views, ny, nx), mean absorbed energy of a pixel, keV.
+    variance: float16, the same shape: variance over signal, keV; with what the detector adds to it.
+    open_signal, open_variance: float32 (views, rows, columns), as ``signal`` and variance (keV2) without breast, means
+        over the cells of a coarse grid that covers the detector.
+    """
+
+    signal: NDArray[np.float32]
+    variance: NDArray[np.float16]
+    open_signal: NDArray[np.float32]
+    open_variance: NDArray[np.float32]
+    geometry: AcquisitionGeometry
+    report: Report = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        _freeze(self)
+
+
+@dataclass(frozen=True, eq=False)
 class Volume:
     """A reconstructed volume in the detector frame.
 

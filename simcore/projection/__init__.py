@@ -11,10 +11,14 @@ from simcore.core.progress import Progress, silent
 from simcore.projection.spec import AcquisitionSpec, PhysicsSpec
 
 if TYPE_CHECKING:  # whoever reads a specification needs no numerics
-    from simcore.core.artifacts import Phantom, ProjectionStack
-    from simcore.core.geometry import AcquisitionGeometry
+    import numpy as np
+    from numpy.typing import NDArray
 
-__all__ = ["AcquisitionSpec", "PhysicsSpec", "attenuation_per_mm", "geometry_of", "project"]
+    from simcore.core.artifacts import Phantom, Primary, ProjectionStack
+    from simcore.core.geometry import AcquisitionGeometry
+    from simcore.projection.spectral import Beam
+
+__all__ = ["AcquisitionSpec", "PhysicsSpec", "attenuation_per_mm", "geometry_of", "project", "project_spectrum"]
 
 
 def geometry_of(acquisition: AcquisitionSpec) -> AcquisitionGeometry:
@@ -42,6 +46,26 @@ def project(
     from simcore.projection.stage import project_views
 
     return project_views(phantom, acquisition, physics, progress)
+
+
+def project_spectrum(
+    phantom: Phantom,
+    acquisition: AcquisitionSpec,
+    basis: NDArray[np.float64],
+    beam: Beam,
+    progress: Progress = silent,
+) -> Primary:
+    """Polyenergetic primary projections, without noise.
+
+    phantom: in the support frame, as for ``project``. basis: (maps, MAX_TISSUES), what each map gives each label, 1 to
+        4 maps; beam: their curves, spectrum and detector at a few energies.
+    returns: absorbed energy of every pixel for one photon a steradian. report: energies_keV, least_transmission (signal
+        over that of the open field), truncated, shadow_mm.
+    raises: GeometryError as ``project``.
+    """
+    from simcore.projection.primary import project_primary
+
+    return project_primary(phantom, acquisition, basis, beam, progress)
 
 
 def attenuation_per_mm(physics: PhysicsSpec) -> tuple[float, ...]:

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from simcore.core.advice import one_of, where
 from simcore.core.artifacts import Phantom, ProjectionStack
@@ -14,7 +16,7 @@ from simcore.core.progress import Progress
 from simcore.core.tissues import Tissue
 from simcore.projection import coverage
 from simcore.projection.acquisition import geometry_of
-from simcore.projection.borders import borders_of
+from simcore.projection.borders import Borders, borders_of
 from simcore.projection.integrals import line_integrals
 from simcore.projection.materials import attenuation_table
 from simcore.projection.poses import check_poses
@@ -27,9 +29,6 @@ def project_views(
     phantom: Phantom, acquisition: AcquisitionSpec, physics: PhysicsSpec, progress: Progress
 ) -> ProjectionStack:
     """See simcore.projection.project."""
-    geometry = geometry_of(acquisition)
-    grid = phantom.grid.moved(z=geometry.support_height)
-    check_poses(geometry, grid.corner[2], grid.upper[2] + acquisition.paddle_mm)
     bits, open_field = acquisition.detector.bits, acquisition.detector.open_field_value
     if open_field > 2**bits - 1:
         raise GeometryError(
@@ -37,20 +36,7 @@ def project_views(
             code="open-field-too-large",
         )
     mu = attenuation_table(physics.attenuation)
-    borders = borders_of(phantom.labels)
-    used = borders.present(mu)
-    shadows = coverage.shadows(borders.row_ends(used), grid, geometry)
-    beyond = coverage.truncation(shadows, geometry)
-    if beyond and acquisition.truncation == "refuse":
-        raise GeometryError(
-            f"the breast's shadow reaches beyond the detector: {beyond}; take "
-            + one_of(
-                "a larger detector",
-                where(acquisition.turns and coverage.beyond_y(shadows, geometry), "a smaller angular_range_degrees"),
-                'truncation = "allow"',
-            ),
-            code="truncated",
-        )
+    geometry, borders, used, shadows, beyond = placed(phantom, acquisition, mu)
     detector = geometry.detector
     data = np.empty((geometry.views, detector.ny, detector.nx), np.uint16)
     by_rays = with_rays(geometry, physics.rays_per_pixel_edge)
@@ -80,11 +66,48 @@ def project_views(
             "mu_per_mm": {tissue.name.lower(): float(mu[tissue]) for tissue in Tissue},
             "sampling": physics.sampling,
             "truncated": bool(beyond),
-            "shadow_mm": _bounds(shadows),
+            "shadow_mm": bounds(shadows),
             **({"slab_integral": upright} if acquisition.slabs else {}),
         },
         slab_integral=upright,
     )
+
+
+class Placed(NamedTuple):
+    """A breast in the beam. used: the coefficients of the labels that it has. beyond: where its shadow reaches beyond
+    the detector, in words; empty where it does not."""
+
+    geometry: AcquisitionGeometry
+    borders: Borders
+    used: NDArray[np.float64]
+    shadows: list[coverage.Shadow]
+    beyond: str
+
+
+def placed(phantom: Phantom, acquisition: AcquisitionSpec, mu: NDArray[np.float64]) -> Placed:
+    """mu: (MAX_TISSUES,), above 0 for what casts a shadow.
+
+    raises: GeometryError where source, breast and detector are not in this order, or where the shadow reaches beyond
+        the detector and truncation is refused.
+    """
+    geometry = geometry_of(acquisition)
+    grid = phantom.grid.moved(z=geometry.support_height)
+    check_poses(geometry, grid.corner[2], grid.upper[2] + acquisition.paddle_mm)
+    borders = borders_of(phantom.labels)
+    used = borders.present(mu)
+    shadows = coverage.shadows(borders.row_ends(used), grid, geometry)
+    beyond = coverage.truncation(shadows, geometry)
+    if beyond and acquisition.truncation == "refuse":
+        raise GeometryError(
+            f"the breast's shadow reaches beyond the detector: {beyond}; take "
+            + one_of(
+                "a larger detector",
+                where(acquisition.turns and coverage.beyond_y(shadows, geometry), "a smaller angular_range_degrees"),
+                'truncation = "allow"',
+            ),
+            code="truncated",
+        )
+    return Placed(geometry, borders, used, shadows, beyond)
 
 
 def with_rays(geometry: AcquisitionGeometry, rays: int) -> AcquisitionGeometry:
@@ -95,7 +118,7 @@ def with_rays(geometry: AcquisitionGeometry, rays: int) -> AcquisitionGeometry:
     return replace(geometry, detector=Detector(detector.ny * rays, detector.nx * rays, detector.pixel / rays))
 
 
-def _bounds(shadows: list[coverage.Shadow]) -> dict[str, float] | None:
+def bounds(shadows: list[coverage.Shadow]) -> dict[str, float] | None:
     """Bounds of all shadows in detector coordinates; None without any tissue."""
     if not shadows:
         return None
