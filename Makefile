@@ -82,6 +82,8 @@ soak: install-dev
 
 validate: install-dev test-production
 	cd tests/viewer && npm ci --ignore-scripts --no-audit --no-fund
+	$(BIN)/python -m bench.platforms
+	$(BIN)/python -m pytest -m sweep tests/test_package.py
 	$(BIN)/python -m pytest -m sweep tests/api/dicomweb
 	$(BIN)/python -m pytest -m sweep tests/simcore/dicom tests/test_deploy.py tests/worker/compute/test_shared_stages.py
 	$(BIN)/python -m bench.verification

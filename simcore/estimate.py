@@ -9,7 +9,7 @@ from typing import NoReturn
 import numpy as np
 from numpy.typing import NDArray
 
-from simcore import unused
+from simcore import available, unused
 from simcore.capacity import SHADOW_MARGIN, beyond_plates, check_objects, predicted_grid
 from simcore.core.errors import GeometryError, ResourceLimitError, SpecError
 from simcore.core.memory import physical_bytes
@@ -127,6 +127,7 @@ def check(spec: SimulationSpec, memory_limit_bytes: int | None = None) -> Estima
     the field, the needed and the allowed value.
     """
     unused.refuse(spec)
+    available.refuse(spec)
     _check_plates(spec)
     _check_geometry(spec)
     limit = physical_bytes() if memory_limit_bytes is None else memory_limit_bytes

@@ -23,7 +23,7 @@ SOME_FAILED = 3
 
 
 def add_commands(commands: Any) -> None:
-    """Adds the command ``study`` with submit, estimate, list, status, cases, cancel, retry, download and delete."""
+    """Adds the command ``study`` and its commands."""
     of_study = commands.add_parser("study", help="families of cases on a service").add_subparsers(
         title="commands", required=True, metavar="COMMAND"
     )
@@ -39,6 +39,10 @@ def add_commands(commands: Any) -> None:
     _file_argument(p)
     p.set_defaults(run=_estimate)
     _url_argument(p)
+
+    p = of_study.add_parser("example", help="list the examples, or print one to edit")
+    p.add_argument("name", nargs="?", choices=sorted(_examples()), help="an example")
+    p.set_defaults(run=_example)
 
     p = of_study.add_parser("list", help="list studies, the newest first")
     p.set_defaults(run=_list)
@@ -90,6 +94,16 @@ def _read(name: str) -> StudySpec:
     except OSError as error:
         raise SpecError(f"the study {name} cannot be read: {error.strerror}", code="study-not-readable") from error
     return StudySpec.parse(text)
+
+
+def _examples() -> dict[str, Path]:
+    """Studies that come with the package, by name."""
+    return {path.stem: path for path in (Path(__file__).parent / "examples").glob("*.json")}
+
+
+def _example(args: argparse.Namespace) -> None:
+    examples = _examples()
+    print(examples[args.name].read_text().rstrip() if args.name else "\n".join(sorted(examples)))
 
 
 def _client(args: argparse.Namespace) -> Client:

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import time
 
-from simcore import phantom, unused
+from simcore import available, phantom, unused
 from simcore.core.store import Commits, Store
 from simcore.pipeline.graph import Case, CaseProgress, silent
 from simcore.pipeline.result import CaseResult, result_of
@@ -30,6 +30,7 @@ def run(spec: SimulationSpec, store: Store, progress: CaseProgress = silent) -> 
     raises: SimulationError (its message says what to change); whatever was computed before stays in the store.
     """
     unused.refuse(spec)
+    available.refuse(spec)
     start = time.perf_counter()
     phantom.require(spec.phantom, store)
     case = Case(spec, store)

@@ -80,4 +80,5 @@ def _results(table: Sequence[Stage], reports: dict[str, Report]) -> Report:
 
 
 def _libraries() -> dict[str, str]:
-    return {name: metadata.version(name) for name in LIBRARIES}
+    """Versions; without those that are not to be had on every platform (simcore.available)."""
+    return {name: metadata.version(name) for name in LIBRARIES if any(metadata.distributions(name=name))}

@@ -144,7 +144,7 @@ from simcore.phantom.upload.reading import Reading
 names = tomosim.presets.names()
 specs = [tomosim.SimulationSpec.parse(tomosim.presets.get(name).model_dump_json()) for name in names]
 Client("http://127.0.0.1:1").close()
-tomosim.StudySpec.parse(open({str(ROOT / "examples" / "studies" / "lesion_pairs.json")!r}).read())
+tomosim.StudySpec.parse(open({str(ROOT / "tomosim" / "examples" / "lesion_pairs.json")!r}).read())
 Reading.parse('{{"tissues": "victre", "raw": {{"shape": [2, 2, 2], "spacing_mm": [1.0, 1.0, 1.0]}}}}')
 try:
     tomosim.SimulationSpec.from_dict({{"acquisition": {{"views": 0}}}})

@@ -22,7 +22,7 @@ from tomosim.cli import main
 from tomosim.client import AsyncClient, Client
 from worker.settings import Settings
 
-EXAMPLES = sorted((Path(__file__).parents[2] / "examples" / "studies").glob("*.json"))
+EXAMPLES = sorted((Path(__file__).parents[2] / "tomosim" / "examples").glob("*.json"))
 STUDY = {"name": "mine", "axes": [{"kind": "grid", "field": "seed", "values": [1, 2, 3]}]}
 
 
