@@ -13,8 +13,8 @@ from simcore import available, unused
 from simcore.capacity import SHADOW_MARGIN, beyond_plates, check_objects, predicted_grid
 from simcore.core.errors import GeometryError, ResourceLimitError, SpecError
 from simcore.core.memory import physical_bytes
-from simcore.core.needs import Estimate
 from simcore.core.tissues import Tissue
+from simcore.needs import Estimate
 from simcore.pipeline.graph import Sizes
 from simcore.pipeline.table import TABLE
 from simcore.projection.acquisition import geometry_of

@@ -7,7 +7,7 @@ from typing import Any
 
 from pydantic import BaseModel, Field
 
-from simcore.core.needs import Estimate
+from simcore.needs import Estimate
 from tomosim_contract.failure import FailureResource
 from tomosim_contract.names import Queue, State
 

@@ -6,7 +6,7 @@ import time
 from typing import Any
 
 from api.http.documents import PREFIX, when, when_or_none
-from simcore.core.needs import Estimate
+from simcore.needs import Estimate
 from tomosim_contract.failure import FailureResource
 from tomosim_contract.simulations import ProgressResource, SimulationResource, StudyPlace
 from worker.records.jobs import Simulation

@@ -19,7 +19,7 @@ from api.simulations.automatic import BODY_WITH_DELIVER, WantedDeliveries, requi
 from api.simulations.resources import simulation_path, simulation_resource
 from api.simulations.retention import AskedRetention
 from api.simulations.service import check, chosen_queue
-from simcore.core.needs import Estimate
+from simcore.needs import Estimate
 from tomosim_contract.names import Device, Priority, State
 from tomosim_contract.simulations import SimulationPage, SimulationResource
 from worker.records.jobs import Simulation

@@ -5,7 +5,7 @@ from __future__ import annotations
 from api.http.deps import Services
 from api.http.errors import ApiError
 from simcore import estimate, phantom
-from simcore.core.needs import Estimate
+from simcore.needs import Estimate
 from simcore.spec import SimulationSpec
 from tomosim_contract.names import Device, Priority, Queue, queue_of
 

@@ -12,7 +12,7 @@ from typing import IO, Any, TypeVar
 
 import anyio
 
-from simcore.core.needs import Estimate
+from simcore.needs import Estimate
 from simcore.phantom.upload.reading import Reading
 from simcore.spec import SimulationSpec
 from tomosim.client import calls, common, files

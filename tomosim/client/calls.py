@@ -12,7 +12,7 @@ from urllib.parse import quote
 import httpx
 from pydantic import BaseModel
 
-from simcore.core.needs import Estimate
+from simcore.needs import Estimate
 from simcore.phantom.upload.reading import Reading
 from simcore.spec import SimulationSpec
 from simcore.study.spec import StudySpec

@@ -11,7 +11,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import IO, Any, TypeVar
 
-from simcore.core.needs import Estimate
+from simcore.needs import Estimate
 from simcore.phantom.upload.reading import Reading
 from simcore.spec import SimulationSpec
 from tomosim.client import calls, common, files
