@@ -1,5 +1,6 @@
 """How the code lies in its rooms."""
 
+import ast
 import re
 import tomllib
 from collections import Counter
@@ -85,3 +86,31 @@ def test_a_decision_has_a_context_a_decision_and_consequences(page):
     assert re.fullmatch(rf"# {int(page.name[:4])}\. \S.*\n\n", title)
     assert [part.partition("\n")[0] for part in parts] == ["Context", "Decision", "Consequences"]
     assert all(part.partition("\n")[2].strip() for part in parts)
+
+
+NO_NAMES = {"found", "made", "wanted", "told", "asked", "held", "given"}
+# The store's files, wherever they lie.
+OTHER_NAMES = {"bucket.py", "hashing.py", "object_store.py", "records.py", "store.py"}
+
+
+def names_of(tree: ast.AST) -> set[str]:
+    """What a module assigns to, and its parameters."""
+    nodes = list(ast.walk(tree))
+    variables = {node.id for node in nodes if isinstance(node, ast.Name) and isinstance(node.ctx, ast.Store)}
+    return variables | {node.arg for node in nodes if isinstance(node, ast.arg)}
+
+
+def test_names_of_every_kind_are_seen():
+    code = "def f(a, *b, c: int = 0): d: int = 1; e, (g := 2)\nfor h in []: pass\nwith x as i: pass\n[j for j in []]"
+    assert names_of(ast.parse(code)) == set("abcdghij")
+
+
+@pytest.mark.parametrize("house", [*HOUSES, "bench"])
+def test_variables_are_called_by_nouns(house):
+    files = [
+        file
+        for file in (ROOT / house).rglob("*.py")
+        if not (file.name in OTHER_NAMES and file.parent.parent.name == "simcore")
+    ]
+    names = {str(file.relative_to(ROOT)): sorted(NO_NAMES & names_of(ast.parse(file.read_text()))) for file in files}
+    assert {file: words for file, words in names.items() if words} == {}

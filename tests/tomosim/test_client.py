@@ -81,8 +81,8 @@ def service(settings: Settings):
 
 @pytest.fixture
 def client(service):
-    with Client(service[0], retrying=AT_ONCE) as made:
-        yield made
+    with Client(service[0], retrying=AT_ONCE) as http:
+        yield http
 
 
 @pytest.fixture(scope="module")
@@ -157,10 +157,10 @@ def test_the_same_from_asynchronous_programs(service, run, tmp_path: Path):
 
 
 def test_pages_are_turned(client):
-    made = {client.submit({"seed": seed}).id for seed in range(5)}
-    found = [case.id for case in client.simulations(page_size=2)]
-    assert made <= set(found)
-    assert len(found) == len(set(found))
+    identifiers = {client.submit({"seed": seed}).id for seed in range(5)}
+    listed = [case.id for case in client.simulations(page_size=2)]
+    assert identifiers <= set(listed)
+    assert len(listed) == len(set(listed))
     assert {case.state for case in client.simulations("queued")} == {"queued"}
 
 
@@ -226,41 +226,41 @@ def test_a_study_from_submission_to_archive(client, run, tmp_path: Path):
         "axes": [{"kind": "grid", "field": "seed", "values": [31, 32]}],
     }
     assert client.estimate_study(study).cases == 2
-    made = client.submit_study(study)
-    assert (made.cases, made.state) == (2, "queued")
-    assert made.id in [s.id for s in client.studies(page_size=1)]
-    cases = list(client.study_cases(made.id, page_size=1))
+    resource = client.submit_study(study)
+    assert (resource.cases, resource.state) == (2, "queued")
+    assert resource.id in [s.id for s in client.studies(page_size=1)]
+    cases = list(client.study_cases(resource.id, page_size=1))
     assert [c.coordinates["seed"] for c in cases] == [31, 32]
-    assert {c.id for c in client.simulations(study_id=made.id)} == {c.id for c in cases}
+    assert {c.id for c in client.simulations(study_id=resource.id)} == {c.id for c in cases}
     run(cases[0].id)
     client.wait(cases[0].id)
-    assert client.cancel_study(made.id).counts["cancelled"] == 1
+    assert client.cancel_study(resource.id).counts["cancelled"] == 1
     looks = []
-    assert client.wait_for_study(made.id, looks.append, timeout_seconds=30).state == "partial"
+    assert client.wait_for_study(resource.id, looks.append, timeout_seconds=30).state == "partial"
     assert looks[-1].finished_cases == 2
-    assert client.retry_study(made.id, cancelled=True).counts["queued"] == 1
+    assert client.retry_study(resource.id, cancelled=True).counts["queued"] == 1
     with pytest.raises(TimeoutError):
-        client.wait_for_study(made.id, timeout_seconds=0)
+        client.wait_for_study(resource.id, timeout_seconds=0)
     run(cases[1].id)
-    assert client.wait_for_study(made.id).state == "succeeded"
-    assert [c["number"] for c in client.study_manifest(made.id)["cases"]] == [1, 2]
-    for get, identifier in ((client.download_study_archive, made.id), (client.download_archive, cases[0].id)):
+    assert client.wait_for_study(resource.id).state == "succeeded"
+    assert [c["number"] for c in client.study_manifest(resource.id)["cases"]] == [1, 2]
+    for get, identifier in ((client.download_study_archive, resource.id), (client.download_archive, cases[0].id)):
         target = tmp_path / identifier / "files.zip"
         assert get(identifier, target) == target.stat().st_size
         assert zipfile.ZipFile(target).testzip() is None
         assert list(target.parent.iterdir()) == [target]
-    client.delete_study(made.id)
+    client.delete_study(resource.id)
     with pytest.raises(clients.NotFoundError):
-        client.study(made.id)
+        client.study(resource.id)
 
 
 def test_destinations_and_deliveries(client, done: str, free_port: int):
-    wanted = Destination(name="archive", host="127.0.0.1", port=free_port, called_aet="ARCHIVE")
-    made = client.create_destination(wanted)
-    assert [d.id for d in client.destinations()] == [made.id]
-    assert client.change_destination(made.id, called_aet="OTHER").called_aet == "OTHER"
-    assert client.destination(made.id).revision == made.revision + 1
-    assert not client.echo(made.id).reachable
+    definition = Destination(name="archive", host="127.0.0.1", port=free_port, called_aet="ARCHIVE")
+    resource = client.create_destination(definition)
+    assert [d.id for d in client.destinations()] == [resource.id]
+    assert client.change_destination(resource.id, called_aet="OTHER").called_aet == "OTHER"
+    assert client.destination(resource.id).revision == resource.revision + 1
+    assert not client.echo(resource.id).reachable
     sent = client.deliver("archive", simulation_id=done, files=["volume.dcm"])
     assert (sent.state, sent.instances_total) == ("queued", 1)
     assert [d.id for d in client.deliveries(simulation_id=done, page_size=1)] == [sent.id]
@@ -271,7 +271,7 @@ def test_destinations_and_deliveries(client, done: str, free_port: int):
     assert client.wait_for_delivery(sent.id) == client.delivery(sent.id)
     assert client.retry_delivery(sent.id).state == "queued"
     client.cancel_delivery(sent.id)
-    client.delete_destination(made.id)
+    client.delete_destination(resource.id)
     with pytest.raises(clients.InvalidRequestError):
         client.submit({"name": "fine"}, deliver=["nowhere"])
 

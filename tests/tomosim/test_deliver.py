@@ -109,15 +109,15 @@ def test_a_case_goes_to_an_archive_with_its_success(service, orthanc, capsys):
     files = {a["name"]: a for a in httpx.get(f"{service}{case['links']['self']}/artifacts").json()["items"]}
     dicom = [name for name in files if name.endswith(".dcm")]
     assert sorted(i["name"] for i in ended["instances"]) == sorted(dicom)
-    found = {}
+    instances = {}
     for identifier in httpx.get(f"{archive}/instances").json():
         stored = dcmread(BytesIO(httpx.get(f"{archive}/instances/{identifier}/file").content))
-        found[str(stored.SOPInstanceUID)] = stored
+        instances[str(stored.SOPInstanceUID)] = stored
     for instance in ended["instances"]:
         ours = dcmread(BytesIO(httpx.get(f"{service}{files[instance['name']]['href']}").content))
-        theirs = found.pop(instance["sop_instance_uid"])
+        theirs = instances.pop(instance["sop_instance_uid"])
         assert theirs == ours
-    assert found == {}
+    assert instances == {}
 
 
 def test_what_is_wrong_is_said(service, capsys):

@@ -170,29 +170,29 @@ def test_what_is_wrong_is_told(tomosim, tmp_path, monkeypatch):
 def test_from_asynchronous_programs(service, tmp_path):
     async def run():
         async with AsyncClient(service[0]) as client:
-            made = await client.submit_study(StudySpec.parse(json.dumps(STUDY)), idempotency_key="async")
+            resource = await client.submit_study(StudySpec.parse(json.dumps(STUDY)), idempotency_key="async")
             again = await client.submit_study(StudySpec.parse(json.dumps(STUDY)), idempotency_key="async")
-            cases = [case async for case in client.study_cases(made.id, page_size=2)]
+            cases = [case async for case in client.study_cases(resource.id, page_size=2)]
             with pytest.raises(TimeoutError):
-                await client.wait_for_study(made.id, timeout_seconds=0.05)
-            await client.cancel_study(made.id)
-            ended = await client.wait_for_study(made.id)
-            files = [file.name async for file in client.download_study(made.id, tmp_path)]
-            return made, again, cases, ended, files
+                await client.wait_for_study(resource.id, timeout_seconds=0.05)
+            await client.cancel_study(resource.id)
+            ended = await client.wait_for_study(resource.id)
+            files = [file.name async for file in client.download_study(resource.id, tmp_path)]
+            return resource, again, cases, ended, files
 
-    made, again, cases, ended, files = anyio.run(run)
-    assert again.id == made.id
+    resource, again, cases, ended, files = anyio.run(run)
+    assert again.id == resource.id
     assert [case.number for case in cases] == [1, 2, 3]
     assert (ended.state, files) == ("cancelled", ["cases.csv"])
 
 
 def test_studies_from_python(service):
     with Client(service[0]) as client:
-        made = client.submit_study(STUDY)
+        resource = client.submit_study(STUDY)
         assert client.estimate_study(STUDY).cases == 3
-        assert made.id in [study.id for study in client.studies(page_size=1)]
-        client.cancel_study(made.id)
-        assert client.retry_study(made.id, cancelled=True).counts["queued"] == 3
+        assert resource.id in [study.id for study in client.studies(page_size=1)]
+        client.cancel_study(resource.id)
+        assert client.retry_study(resource.id, cancelled=True).counts["queued"] == 3
 
 
 @pytest.mark.parametrize("path", EXAMPLES, ids=lambda p: p.stem)

@@ -63,8 +63,8 @@ class AsyncClient(AsyncTransport):
         deliver: destinations that its files go to when it has succeeded: a name, or {"destination", "files"}.
         idempotency_key: two requests with the same key make one case; a new key where not given.
         """
-        wanted = [{"destination": one} if isinstance(one, str) else dict(one) for one in deliver]
-        return await self._do(calls.submit(specification, wanted, priority, device, idempotency_key))
+        deliveries = [{"destination": one} if isinstance(one, str) else dict(one) for one in deliver]
+        return await self._do(calls.submit(specification, deliveries, priority, device, idempotency_key))
 
     async def estimate(self, specification: Specification) -> Estimate:
         """What a case would need."""
@@ -183,11 +183,11 @@ class AsyncClient(AsyncTransport):
         """The study when all its cases have ended; ``watch`` is called with every look. raises: TimeoutError"""
         deadline = Deadline(timeout_seconds)
         while True:
-            found = await self.study(study_id)
+            study = await self.study(study_id)
             if watch is not None:
-                watch(found)
-            if found.finished_cases == found.cases:
-                return found
+                watch(study)
+            if study.finished_cases == study.cases:
+                return study
             deadline.check(study_id)
             await anyio.sleep(common.LOOK_SECONDS)
 
@@ -261,8 +261,8 @@ class AsyncClient(AsyncTransport):
 
     async def preset(self, name: str) -> SimulationSpec:
         """A specification to begin with."""
-        found = await self._do(calls.preset(name))
-        return SimulationSpec.from_dict(found.specification or {})
+        resource = await self._do(calls.preset(name))
+        return SimulationSpec.from_dict(resource.specification or {})
 
     async def service_info(self) -> ServiceInfo:
         """Version and limits of the service."""
@@ -368,13 +368,13 @@ class AsyncClient(AsyncTransport):
         page_size: int = 100,
     ) -> AsyncIterator[DeliveryResource]:
         """Deliveries, the newest first."""
-        asked = {
+        filters = {
             "state": state,
             "simulation_id": simulation_id,
             "study_id": study_id,
             "destination_id": destination_id,
         }
-        return self._pages(lambda cursor: calls.deliveries(asked, page_size, cursor))
+        return self._pages(lambda cursor: calls.deliveries(filters, page_size, cursor))
 
     def delivery_instances(
         self, delivery_id: str, state: InstanceState | None = None
@@ -385,10 +385,10 @@ class AsyncClient(AsyncTransport):
     async def wait_for_delivery(self, delivery_id: str, timeout_seconds: float | None = None) -> DeliveryResource:
         """The delivery in its final state, whichever that is. raises: TimeoutError"""
         deadline = Deadline(timeout_seconds)
-        while (found := await self.delivery(delivery_id)).state not in FINAL_STATES:
+        while (delivery := await self.delivery(delivery_id)).state not in FINAL_STATES:
             deadline.check(delivery_id)
             await anyio.sleep(common.LOOK_SECONDS)
-        return found
+        return delivery
 
     async def cancel_delivery(self, delivery_id: str) -> DeliveryResource:
         """Stops a delivery; what was stored stays stored."""

@@ -291,8 +291,8 @@ def delivery(identifier: str) -> Call[DeliveryResource]:
     return _get(f"/v1/deliveries/{_part(identifier)}", DeliveryResource)
 
 
-def deliveries(asked: Json, limit: int, cursor: str | None) -> Call[DeliveryPage]:
-    return _get("/v1/deliveries", DeliveryPage, **asked, limit=limit, cursor=cursor)
+def deliveries(filters: Json, limit: int, cursor: str | None) -> Call[DeliveryPage]:
+    return _get("/v1/deliveries", DeliveryPage, **filters, limit=limit, cursor=cursor)
 
 
 def delivery_instances(identifier: str, state: str | None, after: int | None) -> Call[InstancePage]:

@@ -127,8 +127,8 @@ def from_response(response: httpx.Response) -> ServiceError:
     for item in problem.get("errors") or []:
         if (said := str(item.get("detail", ""))) not in text:
             text += f"; {item.get('pointer') or item.get('parameter') or ''}: {said}"
-    made = _BY_STATUS.get(response.status_code, ServiceError)
-    return made(
+    error_class = _BY_STATUS.get(response.status_code, ServiceError)
+    return error_class(
         text,
         code=problem.get("code") or f"http-{response.status_code}",
         status=response.status_code,

@@ -40,9 +40,9 @@ class Retrying:
         """Seconds until the request is sent again after its ``number``-th answer; None: not again."""
         if number >= self.attempts or not _not_taken(response):
             return None
-        asked = errors.retry_after(response)
-        if asked is not None:
-            return asked if asked <= self.longest_wait_seconds else None
+        pause = errors.retry_after(response)
+        if pause is not None:
+            return pause if pause <= self.longest_wait_seconds else None
         return self.pause(number)
 
     def after_error(self, number: int, error: httpx.HTTPError, repeatable: bool) -> float | None:

@@ -62,8 +62,8 @@ class Client(Transport):
         deliver: destinations that its files go to when it has succeeded: a name, or {"destination", "files"}.
         idempotency_key: two requests with the same key make one case; a new key where not given.
         """
-        wanted = [{"destination": one} if isinstance(one, str) else dict(one) for one in deliver]
-        return self._do(calls.submit(specification, wanted, priority, device, idempotency_key))
+        deliveries = [{"destination": one} if isinstance(one, str) else dict(one) for one in deliver]
+        return self._do(calls.submit(specification, deliveries, priority, device, idempotency_key))
 
     def estimate(self, specification: Specification) -> Estimate:
         """What a case would need."""
@@ -180,11 +180,11 @@ class Client(Transport):
         """The study when all its cases have ended; ``watch`` is called with every look. raises: TimeoutError"""
         deadline = Deadline(timeout_seconds)
         while True:
-            found = self.study(study_id)
+            study = self.study(study_id)
             if watch is not None:
-                watch(found)
-            if found.finished_cases == found.cases:
-                return found
+                watch(study)
+            if study.finished_cases == study.cases:
+                return study
             deadline.check(study_id)
             time.sleep(common.LOOK_SECONDS)
 
@@ -258,8 +258,8 @@ class Client(Transport):
 
     def preset(self, name: str) -> SimulationSpec:
         """A specification to begin with."""
-        found = self._do(calls.preset(name))
-        return SimulationSpec.from_dict(found.specification or {})
+        resource = self._do(calls.preset(name))
+        return SimulationSpec.from_dict(resource.specification or {})
 
     def service_info(self) -> ServiceInfo:
         """Version and limits of the service."""
@@ -365,13 +365,13 @@ class Client(Transport):
         page_size: int = 100,
     ) -> Iterator[DeliveryResource]:
         """Deliveries, the newest first."""
-        asked = {
+        filters = {
             "state": state,
             "simulation_id": simulation_id,
             "study_id": study_id,
             "destination_id": destination_id,
         }
-        return self._pages(lambda cursor: calls.deliveries(asked, page_size, cursor))
+        return self._pages(lambda cursor: calls.deliveries(filters, page_size, cursor))
 
     def delivery_instances(self, delivery_id: str, state: InstanceState | None = None) -> Iterator[InstanceResource]:
         """The files of a delivery and how far each has come."""
@@ -380,10 +380,10 @@ class Client(Transport):
     def wait_for_delivery(self, delivery_id: str, timeout_seconds: float | None = None) -> DeliveryResource:
         """The delivery in its final state, whichever that is. raises: TimeoutError"""
         deadline = Deadline(timeout_seconds)
-        while (found := self.delivery(delivery_id)).state not in FINAL_STATES:
+        while (delivery := self.delivery(delivery_id)).state not in FINAL_STATES:
             deadline.check(delivery_id)
             time.sleep(common.LOOK_SECONDS)
-        return found
+        return delivery
 
     def cancel_delivery(self, delivery_id: str) -> DeliveryResource:
         """Stops a delivery; what was stored stays stored."""
