@@ -131,9 +131,9 @@ def _resolve(
     return ended, json.loads(report.read_text()) if ended.returncode == 0 else {"install": []}
 
 
-def left_out(lines: list[Pin], held: list[Pin], system: System) -> list[str]:
+def left_out(lines: list[Pin], chosen: list[Pin], system: System) -> list[str]:
     """What the markers leave out on a system that has it on another Python or version: said by name."""
-    names = {line.name for line in held}
+    names = {line.name for line in chosen}
     rest = {line.name for line in lines if line.name not in names}
     return sorted(rest & {"pyjpegls", "pytetwild"})
 
@@ -147,12 +147,12 @@ def main() -> int:
 
     def resolve(case: tuple[System, str]) -> dict[str, object]:
         system, python = case
-        held = wanted(lines, system, python)
-        absent = missing(held, system, python)
-        without = left_out(lines, held, system)
+        chosen = wanted(lines, system, python)
+        absent = missing(chosen, system, python)
+        without = left_out(lines, chosen, system)
         said = ", ".join(absent) or "nothing is missing"
         note = f"; by its marker without {', '.join(without)}" if without else ""
-        print(f"{system.name:<14} Python {python}: {len(held)} packages, {said}{note}", flush=True)
+        print(f"{system.name:<14} Python {python}: {len(chosen)} packages, {said}{note}", flush=True)
         return {"system": system.name, "python": python, "missing": absent, "left_out": without}
 
     with ThreadPoolExecutor(2) as pool:

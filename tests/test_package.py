@@ -66,8 +66,8 @@ def test_wheel_and_sdist_carry_what_the_readme_uses(built: Path) -> None:
     assert not [name for name in in_wheel if name.startswith(("tests", "bench"))]
     with tarfile.open(sdist) as archive:
         in_sdist = {name.partition("/")[2] for name in archive.getnames()}
-    wanted = {"Makefile", "requirements.lock", "requirements-dev.lock", "tests/conftest.py", "bench/case.py", ".ci/run"}
-    assert wanted - in_sdist == set()
+    files = {"Makefile", "requirements.lock", "requirements-dev.lock", "tests/conftest.py", "bench/case.py", ".ci/run"}
+    assert files - in_sdist == set()
 
 
 def test_the_client_alone(built: Path, python: Path, tmp_path: Path) -> None:

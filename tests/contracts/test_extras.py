@@ -20,16 +20,16 @@ WITH_ANOTHER = {"starlette": "fastapi", "llvmlite": "numba", "botocore": "boto3"
 
 def requirements(names: list[str]) -> set[str]:
     """Normalised names of what some requirements ask for, those of our own extras included."""
-    found: set[str] = set()
+    packages: set[str] = set()
     for requirement in names:
         match = re.match(r"([A-Za-z0-9_.-]+)(?:\[([a-z0-9,]+)\])?", requirement)
         assert match is not None
         if match[1] == PROJECT["name"]:
             for extra in match[2].split(","):
-                found |= requirements(PROJECT["optional-dependencies"][extra])
+                packages |= requirements(PROJECT["optional-dependencies"][extra])
         else:
-            found.add(re.sub(r"[-_.]+", "-", match[1]).lower())
-    return found
+            packages.add(re.sub(r"[-_.]+", "-", match[1]).lower())
+    return packages
 
 
 BASE = requirements(PROJECT["dependencies"])
