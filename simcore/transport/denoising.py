@@ -4,7 +4,8 @@
 
 P the primary, t the optical thickness along its ray: P t is about how often photons scatter there; G_s spreads by s
 mm. Plates have terms of their own, since they stand elsewhere. With views on an arc the coefficients are quadratics of
-the angle, so that all views share their photons. Weighted least squares with a weak ridge; what the model leaves is
+the angle, so that all views share their photons. Weighted least squares with a weak ridge over the
+whole detector (over the shadow alone the maps are 10 % off beside it); what the model leaves is
 smoothed as the ratio of the maps, in the plane and over neighbouring views.
 """
 
@@ -18,7 +19,7 @@ from numpy.typing import NDArray
 from simcore.transport.primary import PrimaryMaps
 
 FloatArray = NDArray[np.float64]
-SPREADS_MM = (4.0, 10.0, 20.0, 40.0)
+SPREADS_MM = (4.0, 10.0, 20.0, 40.0, 80.0)
 WEIGHT_MM = 20.0
 RATIO_MM = 15.0
 RATIO_VIEWS = 2.0
@@ -35,7 +36,7 @@ def denoised(signal: FloatArray, maps: PrimaryMaps, sides: tuple[float, float], 
 
     signal: (views, rows, columns), scatter with its noise. maps: of the same shape. sides: of a cell, mm.
     along:  (views,), position of the source along its way in any unit; None fits each view by itself.
-    returns: the same shape; where nothing scatters, and in a view without a shadow, the signal smoothed.
+    returns: the same shape.
     """
     if along is None or len(signal) < SHARED_FROM or not np.ptp(along) > 0:
         return np.concatenate([_fitted(signal[v : v + 1], maps.of(v), sides, None) for v in range(len(signal))])
@@ -44,27 +45,23 @@ def denoised(signal: FloatArray, maps: PrimaryMaps, sides: tuple[float, float], 
 
 def _fitted(signal: FloatArray, maps: PrimaryMaps, sides: tuple[float, float], along: FloatArray | None) -> FloatArray:
     mean = _spread(signal, WEIGHT_MM, sides)
-    mask = maps.shadow
-    if not mask.any() or not mean.max() > 0:
+    if not mean.max() > 0:
         return mean
     # The variance of a map of counts goes with the signal.
-    weight = 1 / np.sqrt(np.maximum(mean[mask], LEAST_WEIGHT * mean.max()))
+    weight = 1 / np.sqrt(np.maximum(mean, LEAST_WEIGHT * mean.max())).ravel()
     columns = list(_terms(maps, sides, along))
-    rows = np.stack([column[mask] * weight for column in columns])
+    rows = np.stack([column.ravel() * weight for column in columns])
     norms = np.sqrt(np.einsum("ij,ij->i", rows, rows))
     norms[norms == 0] = 1.0
     rows /= norms[:, None]
     # einsum, not a matrix product of BLAS: its sums do not depend on the number of threads.
     normal = np.einsum("ik,jk->ij", rows, rows) + RIDGE / rows.shape[1] * np.eye(len(rows))
-    coefficients = np.linalg.solve(normal, np.einsum("ik,k->i", rows, signal[mask] * weight)) / norms
+    coefficients = np.linalg.solve(normal, np.einsum("ik,k->i", rows, signal.ravel() * weight)) / norms
     model = np.zeros_like(signal)
     for coefficient, column in zip(coefficients, columns, strict=True):
         model += coefficient * column
     model = np.maximum(model, LEAST * mean.max())
-    inside, by_model = signal * mask, model * mask
-    # Far from the shadow the ratio is that of the totals.
-    above, below = (_smooth(part, sides) + LEAST * part.mean() for part in (inside, by_model))
-    return np.asarray(model * above / below)
+    return np.asarray(model * _smooth(signal, sides) / _smooth(model, sides))
 
 
 def _terms(maps: PrimaryMaps, sides: tuple[float, float], along: FloatArray | None) -> Iterator[FloatArray]:

@@ -52,15 +52,16 @@ def transport_views(
 ) -> TransportResult:  # fmt: skip
     """See simcore.transport.transport."""
     _check_place(phantom, geometry)
-    by_label = _by_label(phantom, tissues)
-    cells = _cells(phantom, geometry, np.eye(LABELS), spec.cell_mm)
-    setting = _setting(cells, by_label, plates, spec, geometry)
+    substances = by_label(phantom, tissues)
+    cells = cells_of_phantom(phantom, geometry, np.eye(LABELS), spec.cell_mm)
+    setting = setting_in(cells, substances, plates, spec, geometry)
     table = tabulated(response, grid, float(spectrum.energies_keV[-1]))
     sums = _simulated(
         setting, geometry, spectrum, table, spec, spec.rays_per_view, seed, "breast", part(progress, 0, 0.75)
     )
-    becomes, glandularity = equivalent(cells.volumes(), by_label)
-    uniform_setting = _setting(_cells(phantom, geometry, becomes, spec.cell_mm), by_label, plates, spec, geometry)
+    becomes, glandularity = equivalent(cells.volumes(), substances)
+    uniform_cells = cells_of_phantom(phantom, geometry, becomes, spec.cell_mm)
+    uniform_setting = setting_in(uniform_cells, substances, plates, spec, geometry)
     uniform = _simulated(
         uniform_setting, geometry, spectrum, tabulated(IDEAL, None, float(spectrum.energies_keV[-1])), spec,
         spec.equivalent_breast_rays_per_view, seed, "equivalent", part(progress, 0.75, 0.95),
@@ -92,29 +93,32 @@ def _check_place(phantom: Phantom, geometry: AcquisitionGeometry) -> None:
             )
 
 
-def _by_label(phantom: Phantom, tissues: Mapping[Tissue, Material]) -> list[Material | None]:
+def by_label(phantom: Phantom, tissues: Mapping[Tissue, Material]) -> list[Material | None]:
+    """The material of every label, LABELS of them; raises SpecError for a tissue of the phantom without one."""
     present = np.bincount(phantom.labels.ravel(), minlength=LABELS) > 0
-    by_label: list[Material | None] = [
+    substances: list[Material | None] = [
         tissues.get(Tissue(label)) if label in set(Tissue) else None for label in range(LABELS)
     ]
-    by_label[Tissue.AIR] = None
+    substances[Tissue.AIR] = None
     for label in np.flatnonzero(present)[np.flatnonzero(present) > 0]:
-        if by_label[label] is None:
+        if substances[label] is None:
             name = Tissue(label).name.lower() if label in set(Tissue) else f"label {label}"
             raise SpecError(
                 f"{name} is in the breast, but there is no composition of it; give one", code="no-composition"
             )
-    return by_label
+    return substances
 
 
-def _cells(phantom: Phantom, geometry: AcquisitionGeometry, becomes: FloatArray, edge_mm: float) -> Cells:
+def cells_of_phantom(phantom: Phantom, geometry: AcquisitionGeometry, becomes: FloatArray, edge_mm: float) -> Cells:
+    """Cells of a phantom in the detector frame; becomes: see cells_of."""
     return cells_of(phantom.labels, phantom.grid.moved(z=geometry.support_height), becomes, edge_mm)
 
 
-def _setting(
+def setting_in(
     cells: Cells, tissues: list[Material | None], plates: Sequence[Plate], spec: TransportSpec,
     geometry: AcquisitionGeometry,
 ) -> Setting:  # fmt: skip
+    """The scene: plates reach beyond the detector and the breast, so that their edges do not matter."""
     detector = geometry.detector
     reach = (
         max(detector.nx * detector.pixel, cells.upper[0]) + PLATE_MARGIN_MM,
