@@ -1,8 +1,8 @@
 """Makes the tables of simcore/physics/data again from the packages that they come from.
 
-    python -m bench.tables [cross_sections] [form_factors] [fluorescence]
+    python -m bench.tables [cross_sections] [form_factors] [fluorescence] [anodes]
 
-Needs xraydb 4.5 and xraylib 4.3, which nothing else needs (simcore/physics/data/SOURCES.md).
+Needs spekpy 2.5, xraydb 4.5 and xraylib 4.3, which nothing else needs (simcore/physics/data/SOURCES.md).
 """
 
 from __future__ import annotations
@@ -14,6 +14,8 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+
+from bench._anodes import anode_tables
 
 FOLDER = Path(__file__).parents[1] / "simcore" / "physics" / "data"
 LIGHT = "H Be B C N O F Na Mg Al Si P S Cl Ar K Ca"
@@ -34,10 +36,10 @@ def cross_sections(path: Path) -> None:
         edges = sorted(edge.energy * 1e-3 for edge in xraydb.xray_edges(element).values())
         edges = [edge for edge in edges if LOWEST_KEV + 0.01 < edge < HIGHEST_KEV - 0.01]
         apart = grid[[all(abs(energy - edge) > 3e-3 for edge in edges) for energy in grid]]
-        points = np.concatenate([apart, *(_beside_the_step(element, edge) for edge in edges)])
+        asked = np.concatenate([apart, *(_beside_the_step(element, edge) for edge in edges)])
         named = np.concatenate([apart, *([edge, edge] for edge in edges)])
-        order = np.argsort(points)
-        rows.append(np.array([xraydb.mu_elam(element, points[order] * 1e3, kind=k) for k in ("photo", "coh", "incoh")]))
+        order = np.argsort(asked)
+        rows.append(np.array([xraydb.mu_elam(element, asked[order] * 1e3, kind=k) for k in ("photo", "coh", "incoh")]))
         energies.append(named[order])
         starts.append(starts[-1] + len(named))
         masses.append(xraydb.atomic_mass(element))
@@ -114,6 +116,7 @@ MAKERS = {
     "cross_sections": ("cross_sections.npz", cross_sections),
     "form_factors": ("form_factors.npz", form_factors),
     "fluorescence": ("fluorescence.csv", fluorescence),
+    "anodes": ("anodes.npz", anode_tables),
 }
 
 
