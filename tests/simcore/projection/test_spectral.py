@@ -7,13 +7,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from simcore.core.upsampling import spread_over_pixels
 
 from simcore.core.artifacts import Phantom
 from simcore.core.errors import GeometryError
 from simcore.core.geometry import AcquisitionGeometry, Detector
 from simcore.core.grid import Grid
 from simcore.core.tissues import MAX_TISSUES, Tissue
+from simcore.physics.upsampling import spread_over_pixels
 from simcore.projection import project, project_spectrum
 from simcore.projection.acquisition import geometry_of
 from simcore.projection.integrals import basis_integrals
