@@ -18,3 +18,13 @@ def noise_power(regions: NDArray[np.generic], pixel_mm: float) -> tuple[FloatArr
     """
     mean = np.mean([periodogram(region, pixel_mm) for region in regions], axis=0)
     return ring_average(np.asarray(mean), pixel_mm)
+
+
+def detective_quantum_efficiency(
+    mtf: NDArray[np.generic], normalised_power: NDArray[np.generic], quanta_per_mm2: float
+) -> FloatArray:
+    """DQE = MTF^2 / (q NNPS) (IEC 62220-1), in the shape of the frequencies.
+
+    normalised_power: noise power over the square of the mean signal, mm^2. quanta_per_mm2: q, photons that fall in.
+    """
+    return np.asarray(np.asarray(mtf, np.float64) ** 2 / (quanta_per_mm2 * np.asarray(normalised_power, np.float64)))

@@ -1,0 +1,1 @@
+"""What turns X-rays into signal, one kind a file: data alone."""

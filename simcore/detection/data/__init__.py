@@ -1,0 +1,1 @@
+"""Detectors of named systems, with their sources in SOURCES.md."""
