@@ -27,7 +27,7 @@ def detect(
         noise. The fixed pattern hangs on ``pattern.serial`` alone.
     report: gain_DN_per_keV, electronic_keV, largest_DN, dead_pixels, and of every view in ``views``: saturated_pixels,
         pixels_at_zero, mean_DN, snr (median over pixels, noise-free), fewest_quanta, processed_above, processed_below;
-        ``told``: sentences on what was cut.
+        ``remarks``: sentences on what was cut.
     raises: SpecError where the exposure saturates the detector, or a table does not fit its pixels; ValueError where
         arrays do not fit the geometry.
     """

@@ -168,7 +168,7 @@ def _report(spec: DetectionSpec, limits: Range, own: Pattern, views: list[Report
     def total(name: str) -> int:
         return sum(view[name] for view in views)
 
-    told = []
+    remarks = []
     for name, what in (
         ("saturated_pixels", f"raw pixels stand at the largest number, {limits.limit}"),
         ("pixels_at_zero", "raw pixels would lie below 0 and are 0: raise offset_DN"),
@@ -176,10 +176,10 @@ def _report(spec: DetectionSpec, limits: Range, own: Pattern, views: list[Report
         ("processed_below", "For Processing pixels would lie below 0 and are 0"),
     ):
         if total(name):
-            told.append(f"{total(name)} {what}")
+            remarks.append(f"{total(name)} {what}")
     quanta = [view["fewest_quanta"] for view in views if view["fewest_quanta"] is not None]
     if isinstance(spec.noise, GaussianNoise) and quanta and min(quanta) < FEW_QUANTA:
-        told.append(
+        remarks.append(
             f"some pixels receive {min(quanta):.3g} quanta only: their noise is drawn as normal, which holds above "
             f"about {FEW_QUANTA:g}"
         )
@@ -189,5 +189,5 @@ def _report(spec: DetectionSpec, limits: Range, own: Pattern, views: list[Report
         "largest_DN": limits.limit,
         "dead_pixels": int(own.dead.sum()),
         "views": views,
-        "told": told,
+        "remarks": remarks,
     }

@@ -206,7 +206,7 @@ def test_an_exposure_that_saturates_is_refused_with_a_remedy_that_works():
     cut = detect(scenes.uniform(place, 1000), spec.with_(saturation="clip"), place, 0)
     assert cut.report["views"][0]["saturated_pixels"] == 96 * 120
     assert cut.raw.max() == 4095
-    assert any("11520 raw pixels stand at the largest number, 4095" in told for told in cut.report["told"])
+    assert any("11520 raw pixels stand at the largest number, 4095" in remark for remark in cut.report["remarks"])
 
 
 def test_a_full_well_saturates_too():
@@ -236,7 +236,7 @@ def test_electronic_noise_in_numbers_is_that_of_the_raw_image():
 def test_what_is_cut_and_what_is_few_is_told():
     place = scenes.geometry(ny=96, nx=120)
     report = detect(scenes.uniform(place, 20, flat=100.0), scenes.PLAIN.with_(offset_DN=0.0), place, 0).report
-    assert any("20 quanta only" in told for told in report["told"])
+    assert any("20 quanta only" in remark for remark in report["remarks"])
     dark = detect(
         scenes.uniform(place, 0.0, flat=1e4),
         scenes.PLAIN.with_(offset_DN=0.0, electronic_noise=scenes.ELECTRONICS),
@@ -244,7 +244,7 @@ def test_what_is_cut_and_what_is_few_is_told():
         0,
     )
     assert dark.report["views"][0]["pixels_at_zero"] == pytest.approx(0.5 * 96 * 120, rel=0.1)
-    assert any("would lie below 0" in told for told in dark.report["told"])
+    assert any("would lie below 0" in remark for remark in dark.report["remarks"])
     bright = detect(scenes.uniform(place, 1000, flat=100.0), scenes.PLAIN, place, 0)
     assert bright.report["views"][0]["processed_above"] == 96 * 120
     assert np.all(bright.processed == 65535)
