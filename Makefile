@@ -7,12 +7,14 @@ PORT ?= 8080
 OUT ?= out
 DATA ?= data
 
-.PHONY: help install install-dev demo serve test test-production lint format bench soak validate docs lock clean
+.PHONY: help install install-dev demo serve test coverage test-production lint format bench soak validate docs lock clean
 
 help:
 	@echo "make demo      install, run the paper's cup C case through the service, files in $(OUT)/"
 	@echo "make serve     install, start the service on http://127.0.0.1:$(PORT)/"
-	@echo "make test      install what tests need, lint, type-check, run all tests"
+	@echo "make test      install what tests need, lint, type-check, run all tests; those of Debian packages that"
+	@echo "               are not there are skipped, or fail where CI is set"
+	@echo "make coverage  which lines the tests run: a page in $(OUT)/coverage, and the total"
 	@echo "make test-production  those of the service again, on PostgreSQL, redis-server and S3 (ten minutes)"
 	@echo "make bench     compare with named peers (minutes)"
 	@echo "make soak      200 small cases while processes are killed at random: nothing may be lost (ten minutes)"
@@ -60,11 +62,20 @@ PRODUCTION_IN_SHORT := $(addprefix tests/,api/test_api_studies.py api/test_api_i
 	worker/compute/test_supervisor.py)
 
 # Files of tests share the cores: many wait for services most of their time.
-PYTEST := $(BIN)/python -m pytest -n auto --maxprocesses 4 --dist loadfile
+PYTEST_OPTIONS := -n auto --maxprocesses 4 --dist loadfile --durations 20 $(if $(CI),--require-services)
+PYTEST := $(BIN)/python -m pytest $(PYTEST_OPTIONS)
 
 test: lint
 	$(PYTEST) $(PYTEST_ARGS)
 	$(if $(PYTEST_ARGS),,$(PYTEST) --production $(PRODUCTION_IN_SHORT))
+
+# Processes that tests start count as well (pyproject.toml).
+coverage: install-dev
+	$(BIN)/coverage erase
+	$(BIN)/coverage run -m pytest $(PYTEST_OPTIONS) $(PYTEST_ARGS)
+	$(BIN)/coverage combine --quiet
+	$(BIN)/coverage html --quiet --directory $(OUT)/coverage
+	$(BIN)/coverage report --sort miss --skip-covered
 
 # The same tests of the service on PostgreSQL, redis-server and S3: all that can tell the difference (tests/conftest.py).
 test-production: install-dev

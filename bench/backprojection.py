@@ -29,9 +29,9 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
-from bench import _rtk
-from bench._scene import Scene, chosen_views, cup_c
-from bench._timing import Timing, in_turns, machine_load
+from bench.support import rtk
+from bench.support.scene import Scene, chosen_views, cup_c
+from bench.support.timing import Timing, in_turns, machine_load
 from simcore.core.artifacts import ProjectionStack
 from simcore.core.geometry import AcquisitionGeometry
 from simcore.core.grid import Grid
@@ -59,7 +59,7 @@ def main() -> int:
     parser.add_argument("--threads", type=int, default=numba.get_num_threads())
     args = parser.parse_args()
     numba.set_num_threads(args.threads)
-    _rtk.set_threads(args.threads)
+    rtk.set_threads(args.threads)
     scene = cup_c(args.scale)
     geometry = chosen_views(scene.geometry, args.views)
     spec = FilteredBackprojection(slice_mm=args.slice_mm)
@@ -98,20 +98,20 @@ def main() -> int:
 def compared_voxels(geometry: AcquisitionGeometry, grid: Grid, rounds: int) -> dict[str, Any]:
     detector = geometry.detector
     projections = np.random.default_rng(1).standard_normal((geometry.views, detector.ny, detector.nx), np.float32)
-    plan, poses = plan_backprojection(geometry, grid), _rtk.geometry_of(geometry)
+    plan, poses = plan_backprojection(geometry, grid), rtk.geometry_of(geometry)
     out = np.empty(grid.shape, np.uint16)
 
     def ours() -> None:
         backproject_quantised(projections, plan, slice(0, grid.shape[1]), SLOPE, INTERCEPT, out)
 
-    image = _rtk.projections_of(projections, geometry)
+    image = rtk.projections_of(projections, geometry)
 
     def peer(kind: str) -> Callable[[], Any]:
-        itk_filter = _rtk.backprojection(kind, _rtk.volume_of(np.zeros(grid.shape, np.float32), grid), image, poses)
+        itk_filter = rtk.backprojection(kind, rtk.volume_of(np.zeros(grid.shape, np.float32), grid), image, poses)
         return lambda: updated(itk_filter)
 
     timings = in_turns({"ours": lambda: ours, "peer": lambda: peer("voxel"), "peer_fdk": lambda: peer("fdk")}, rounds)
-    expected = _rtk.array_of_volume(timings["peer_fdk"].result)
+    expected = rtk.array_of_volume(timings["peer_fdk"].result)
     inside = seen_by_all(geometry, grid)
     error = rms((out * SLOPE + INTERCEPT - expected)[inside]) / rms(expected[inside])
     rays = grid.size * geometry.views
@@ -156,10 +156,10 @@ def compared_fbp(
     thickness_mm: float,
     rounds: int,
 ) -> dict[str, Any]:
-    poses, image = _rtk.geometry_of(stack.geometry), _rtk.projections_of(integrals, stack.geometry)
+    poses, image = rtk.geometry_of(stack.geometry), rtk.projections_of(integrals, stack.geometry)
 
     def peer() -> Callable[[], Any]:
-        itk_filter = _rtk.fdk(_rtk.volume_of(np.zeros(grid.shape, np.float32), grid), image, poses)
+        itk_filter = rtk.fdk(rtk.volume_of(np.zeros(grid.shape, np.float32), grid), image, poses)
         return lambda: updated(itk_filter)
 
     timings = in_turns({"ours": lambda: lambda: reconstruct(stack, spec, thickness_mm), "peer": peer}, rounds)
@@ -179,10 +179,10 @@ def compared_pair(geometry: AcquisitionGeometry, grid: Grid, cubes: Grid) -> dic
     # RTK counts the outermost slices half, and nothing beyond the centres of the outermost voxels.
     volume[[0, -1]] = volume[:, [0, -1]] = volume[:, :, [0, -1]] = 0.0
     own = project_slices(volume, cubes, two)
-    projector = _rtk.joseph(
-        _rtk.projections_of(np.zeros_like(own), two), _rtk.volume_of(volume, cubes), _rtk.geometry_of(two)
+    projector = rtk.joseph(
+        rtk.projections_of(np.zeros_like(own), two), rtk.volume_of(volume, cubes), rtk.geometry_of(two)
     )
-    peer = _rtk.array_of_projections(updated(projector))
+    peer = rtk.array_of_projections(updated(projector))
     rays, volume = rng.standard_normal(own.shape, np.float32), rng.random(grid.shape, np.float32)
     forward = float(np.vdot(project_slices(volume, grid, two).astype(np.float64), rays))
     back = float(np.vdot(volume, backproject(rays, grid, two).astype(np.float64)))
@@ -206,14 +206,14 @@ def compared_sart(integrals: FloatArray, grid: Grid, geometry: AcquisitionGeomet
 
         return run
 
-    poses, image = _rtk.geometry_of(geometry), _rtk.projections_of(integrals, geometry)
+    poses, image = rtk.geometry_of(geometry), rtk.projections_of(integrals, geometry)
 
     def peer() -> Callable[[], Any]:
-        itk_filter = _rtk.sart(_rtk.volume_of(np.zeros(grid.shape, np.float32), grid), image, poses, RELAXATION)
+        itk_filter = rtk.sart(rtk.volume_of(np.zeros(grid.shape, np.float32), grid), image, poses, RELAXATION)
         return lambda: updated(itk_filter)
 
     timings = in_turns({"ours": ours, "peer": peer}, rounds)
-    volumes = {"ours": timings["ours"].result, "peer": _rtk.array_of_volume(timings["peer"].result)}
+    volumes = {"ours": timings["ours"].result, "peer": rtk.array_of_volume(timings["peer"].result)}
     residuals = {n: rms(project_slices(v, grid, geometry) - integrals) / rms(integrals) for n, v in volumes.items()}
     return {
         "seconds": round(timings["ours"].wall_s, 3),

@@ -21,7 +21,7 @@ import time
 from pathlib import Path
 from typing import Any
 
-from bench._timing import Stolen
+from bench.support.timing import Stolen
 from simcore import pipeline
 from simcore.core.store import Store
 from simcore.spec import SimulationSpec

@@ -22,8 +22,8 @@ import time
 from pathlib import Path
 from typing import Any
 
-from bench._timing import Stolen, machine_load
 from bench.same import ROOT, worktree
+from bench.support.timing import Stolen, machine_load
 from simcore import presets
 
 

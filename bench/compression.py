@@ -20,9 +20,9 @@ from typing import Any
 
 import numba
 
-from bench._bodies import C_CUP, ONE_TISSUE, as_quadratic
-from bench._timing import Stolen
 from bench.peers import calculix, scikit
+from bench.support.bodies import C_CUP, ONE_TISSUE, as_quadratic
+from bench.support.timing import Stolen
 from simcore.core.artifacts import Compression, TetMesh
 from simcore.fem import CompressionSpec, compress
 from simcore.fem.laws.neo_hookean import NeoHookean

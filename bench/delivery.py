@@ -14,15 +14,12 @@ import argparse
 import json
 import os
 import shutil
-import socket
 import statistics
 import subprocess
 import sys
 import tempfile
 import threading
 import time
-from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
 
 import httpx
@@ -34,6 +31,8 @@ from pydicom.uid import (
     ExplicitVRLittleEndian,
     generate_uid,
 )
+
+from tests.support.orthanc import running
 
 TITLE = "ORTHANC"
 
@@ -73,7 +72,9 @@ def _compare(folder: Path, args: argparse.Namespace) -> None:
     print(f"{args.views + 1} files, {megabytes:.0f} MB", flush=True)
     seconds: dict[str, list[float]] = {"ours": [], "storescu": []}
     peaks = []
-    with _orthanc(folder) as (port, http):
+    # Synchronized, it waits for the disk after every file, and whoever sends has nothing to do with that time.
+    with running(folder / "orthanc", plugin=False, DicomAet=TITLE, SyncStorageArea=False) as archive:
+        port, http = archive.port, archive.http
         for number in range(args.rounds + 1):
             _empty(http)
             ours, peak = _ours(files, port)
@@ -168,45 +169,6 @@ def _storescu(files: Path, port: int) -> float:
     start = time.perf_counter()
     subprocess.run(command, check=True)
     return time.perf_counter() - start
-
-
-@contextmanager
-def _orthanc(folder: Path) -> Iterator[tuple[int, httpx.Client]]:
-    """A running Orthanc: its DICOM port and its REST interface."""
-    dicom, rest = _free_port(), _free_port()
-    database = folder / "orthanc"
-    configuration = {
-        "StorageDirectory": str(database),
-        "IndexDirectory": str(database),
-        "DicomAet": TITLE,
-        "DicomPort": dicom,
-        "HttpPort": rest,
-        "RemoteAccessAllowed": False,
-        "DicomAlwaysAllowStore": True,
-        # Otherwise it waits for the disk after every file, and whoever sends has nothing to do with the time.
-        "SyncStorageArea": False,
-    }
-    (folder / "orthanc.json").write_text(json.dumps(configuration))
-    with open(folder / "orthanc.log", "wb") as log:
-        process = subprocess.Popen(["Orthanc", str(folder / "orthanc.json")], stdout=log, stderr=log)
-    try:
-        with httpx.Client(base_url=f"http://127.0.0.1:{rest}", timeout=60) as http:
-            for _ in range(200):
-                try:
-                    http.get("/system")
-                    break
-                except httpx.HTTPError:
-                    time.sleep(0.1)
-            yield dicom, http
-    finally:
-        process.terminate()
-        process.wait(30)
-
-
-def _free_port() -> int:
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        return int(probe.getsockname()[1])
 
 
 def _empty(http: httpx.Client) -> None:

@@ -11,7 +11,6 @@ from __future__ import annotations
 import argparse
 import json
 import os
-import socket
 import statistics
 import subprocess
 import sys
@@ -30,6 +29,9 @@ from simcore.core.artifacts import Compression, Phantom, ProjectionStack, Volume
 from simcore.core.geometry import AcquisitionGeometry, Detector
 from simcore.core.grid import Grid
 from simcore.core.store import Store
+from tests.support.ports import free_port
+from tests.support.servers import answers, end
+from tests.support.waiting import wait_for
 from worker.records.database import connect
 from worker.records.jobs import Jobs
 from worker.records.schema import prepare
@@ -44,7 +46,7 @@ def main() -> int:
     parser.add_argument("--rounds", type=int, default=5)
     args = parser.parse_args()
     with tempfile.TemporaryDirectory(dir=".") as folder:
-        settings = Settings.load(data_folder=Path(folder) / "data", port=_free_port())
+        settings = Settings.load(data_folder=Path(folder) / "data", port=free_port())
         _add_case(settings, Path(folder) / "files")
         with _server(settings) as (client, process):
             print(json.dumps(_measure(client, process, args.rounds)))
@@ -138,18 +140,12 @@ def _server(settings: Settings) -> Iterator[tuple[httpx.Client, int]]:
     process = subprocess.Popen([sys.executable, "-m", "api"], env=environment, stdout=sys.stderr)
     client = httpx.Client(base_url=f"http://127.0.0.1:{settings.port}/dicomweb/", timeout=120)
     try:
-        while True:
-            assert process.poll() is None, "the server ended"
-            try:
-                client.get(f"http://127.0.0.1:{settings.port}/livez")
-                break
-            except httpx.TransportError:
-                time.sleep(0.1)
+        wait_for(lambda: process.poll() is not None or answers(f"http://127.0.0.1:{settings.port}/livez"), "the start")
+        assert process.poll() is None, "the server ended"
         yield client, process.pid
     finally:
         client.close()
-        process.terminate()
-        process.wait(30)
+        end(process)
 
 
 def _resident(process: int) -> int:
@@ -164,12 +160,6 @@ def _status(process: int, name: str) -> int:
     """A size in /proc/<process>/status, bytes."""
     lines = Path(f"/proc/{process}/status").read_text().splitlines()
     return next(int(line.split()[1]) * 1024 for line in lines if line.startswith(f"{name}:"))
-
-
-def _free_port() -> int:
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        return int(probe.getsockname()[1])
 
 
 if __name__ == "__main__":

@@ -20,7 +20,7 @@ import matplotlib
 matplotlib.use("Agg")
 import matplotlib.pyplot as plt
 
-from bench._bodies import C_CUP, ellipsoid_labels, scaled_to
+from bench.support.bodies import C_CUP, ellipsoid_labels, scaled_to
 from simcore.fem import CompressionSpec, compress
 from simcore.fem.laws.neo_hookean import NeoHookean
 from simcore.mesh import build

@@ -25,7 +25,7 @@ from pathlib import Path
 
 import numpy as np
 
-from bench._bodies import Floats, ellipsoid_labels, scaled_to
+from bench.support.bodies import Floats, ellipsoid_labels, scaled_to
 from bench.sweep import OUTLINES, VOXEL_MM, faults, with_gland
 from simcore import phantom as phantoms
 from simcore.core.artifacts import Phantom

@@ -11,14 +11,11 @@ do not depend on what else the machine does, stand beside. Last line: one JSON o
 from __future__ import annotations
 
 import argparse
-import importlib.util
 import json
 import sys
 import time
 from collections.abc import Iterator
 from itertools import islice
-from pathlib import Path
-from types import ModuleType
 from typing import Any
 
 import numba
@@ -30,8 +27,8 @@ from simcore.core.tissues import Tissue
 from simcore.phantom.anthropomorphic import Breast, settle, slabs
 from simcore.phantom.spec import AnthropomorphicPhantom, DuctSpec, NippleSpec, TextureSpec
 from simcore.phantom.survey import survey
+from tests.support import oracles
 
-ORACLES = Path(__file__).parent.parent / "tests" / "simcore" / "phantom" / "oracles.py"
 SEED = 1
 CUP_C = AnthropomorphicPhantom()
 EXTRAS = {
@@ -68,7 +65,6 @@ def main() -> int:
 
 def compared(voxel_mm: float) -> dict[str, Any]:
     """Values and seconds of the plain methods."""
-    oracles = _oracles()
     breast = settle(CUP_C.with_(voxel_mm=voxel_mm), SEED)
     inside, points = _tissue_points(breast)
     cells = breast.compartments
@@ -76,7 +72,7 @@ def compared(voxel_mm: float) -> dict[str, Any]:
     breast.fill(labels)
 
     start = time.perf_counter()
-    expected, doubt = _every_seed(oracles, breast, points)
+    expected, doubt = _every_seed(breast, points)
     every_seed = len(points) / (time.perf_counter() - start)
     differ = (labels[inside] != expected) & (doubt > 1e-4)
 
@@ -143,7 +139,7 @@ def streamed(voxel_mm: float) -> dict[str, Any]:
     }
 
 
-def _every_seed(oracles: ModuleType, breast: Breast, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _every_seed(breast: Breast, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     cells, thickness = breast.compartments, breast.spec.compartments.ligament_mm
 
     def parts() -> Iterator[tuple[np.ndarray, np.ndarray]]:
@@ -160,15 +156,6 @@ def _tissue_points(breast: Breast) -> tuple[np.ndarray, np.ndarray]:
     inside = np.arange(grid.shape[2]) < breast.shape.tissue_rows[:, :, None]
     k, j, i = np.nonzero(inside)
     return inside, np.stack([grid.centres(axis)[n] for axis, n in (("x", i), ("y", j), ("z", k))], axis=1)
-
-
-def _oracles() -> ModuleType:
-    spec = importlib.util.spec_from_file_location("phantom_oracles", ORACLES)
-    assert spec is not None
-    assert spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
 
 
 if __name__ == "__main__":

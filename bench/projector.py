@@ -22,10 +22,10 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
-from bench import _rtk
-from bench._scene import Scene, chosen_views, cup_c
-from bench._siddon import siddon
-from bench._timing import Timing, in_turns, machine_load
+from bench.support import rtk
+from bench.support.scene import Scene, chosen_views, cup_c
+from bench.support.siddon import siddon
+from bench.support.timing import Timing, in_turns, machine_load
 from simcore.core.geometry import AcquisitionGeometry
 from simcore.projection.borders import borders_of
 from simcore.projection.integrals import line_integrals
@@ -44,7 +44,7 @@ def main() -> int:
     parser.add_argument("--threads", type=int, default=numba.get_num_threads())
     args = parser.parse_args()
     numba.set_num_threads(args.threads)
-    _rtk.set_threads(args.threads)
+    rtk.set_threads(args.threads)
     scene = cup_c(args.scale)
     geometry = chosen_views(scene.geometry, args.views)
     borders = borders_of(scene.breast.labels)
@@ -61,11 +61,11 @@ def main() -> int:
 
         return run
 
-    volume, poses = _rtk.volume_of(attenuation, scene.grid), _rtk.geometry_of(geometry)
+    volume, poses = rtk.volume_of(attenuation, scene.grid), rtk.geometry_of(geometry)
 
     def joseph() -> Callable[[], Any]:
         empty = np.zeros((geometry.views, geometry.detector.ny, geometry.detector.nx), np.float32)
-        projector = _rtk.joseph(_rtk.projections_of(empty, geometry), volume, poses)
+        projector = rtk.joseph(rtk.projections_of(empty, geometry), volume, poses)
 
         def run() -> Any:
             projector.Update()
@@ -76,7 +76,7 @@ def main() -> int:
     timings = in_turns(
         {"exact": lambda: ours("exact"), "peer_joseph": joseph, "peer_paper": lambda: ours("trilinear")}, args.rounds
     )
-    joseph_values = _rtk.array_of_projections(timings["peer_joseph"].result)
+    joseph_values = rtk.array_of_projections(timings["peer_joseph"].result)
     values = {"exact": timings["exact"].result, "joseph": joseph_values, "paper": timings["peer_paper"].result}
     errors = errors_of(values, scene, geometry, mu)
     rays = joseph_values.size

@@ -26,13 +26,13 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, Self, cast
 
-from bench._timing import Stolen
+from bench.support.timing import Stolen
 from simcore import presets
 from simcore.core.store import Store
 from tests.golden.cases import CASES, brief
 
 ROOT = Path(__file__).parents[1]
-DRIVER = Path(__file__).with_name("_same_driver.py")
+DRIVER = ROOT / "bench" / "support" / "same_driver.py"
 Stages = dict[str, dict[str, Any]]
 
 

@@ -17,7 +17,6 @@ import asyncio
 import json
 import os
 import signal
-import socket
 import statistics
 import subprocess
 import sys
@@ -30,10 +29,11 @@ from typing import Any
 
 import httpx
 
-from bench._timing import Stolen, machine_load
+from bench.support.timing import Stolen, machine_load
 from simcore import presets
 from simcore.mesh.spec import LatticeMesh
 from simcore.spec import SimulationSpec
+from tests.support.ports import free_port
 from tomosim.client import Client
 from worker.serve import processes
 
@@ -71,9 +71,7 @@ def main() -> int:
 @contextmanager
 def served(folder: Path) -> Iterator[str]:
     """The address of a running service."""
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        port = probe.getsockname()[1]
+    port = free_port()
     data = str(folder / "data")
     command = [sys.executable, "-m", "tomosim", "serve", "--data", data, "--port", str(port)]
     process = processes.start(command, dict(os.environ), subprocess.PIPE)

@@ -23,7 +23,7 @@ from typing import Any, get_args
 import numpy as np
 from numpy.typing import NDArray
 
-from bench._bodies import C_CUP, Floats, SemiAxes, ellipsoid_labels, scaled_to
+from bench.support.bodies import C_CUP, Floats, SemiAxes, ellipsoid_labels, scaled_to
 from simcore import warp
 from simcore.core.artifacts import Compression, Phantom, TetMesh
 from simcore.core.errors import SimulationError

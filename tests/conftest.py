@@ -5,15 +5,11 @@ difference run again on PostgreSQL, S3 and redis-server.
 """
 
 import functools
-import os
 import shutil
-import signal
-import subprocess
 import tempfile
-import threading
 import time
 import uuid
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Generator, Iterator
 from pathlib import Path
 
 import pytest
@@ -21,13 +17,35 @@ import sqlalchemy as sa
 
 from simcore.core.bucket import Location
 from simcore.core.store import Store
+from tests.support import object_storage
+from tests.support.ports import free_port
+from tests.support.postgres import Postgres, create_database
+from tests.support.servers import program
+from tests.support.services import Missing, need
 from worker.records import schema
 from worker.records.database import connect
 from worker.records.migrations.tables import metadata
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
+    missing = "tests fail, and are not skipped, where a Debian package that they need is not installed"
+    parser.addoption("--require-services", action="store_true", help=missing)
     parser.addoption("--production", action="store_true", help="on PostgreSQL, S3 and redis-server, what uses them")
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_runtest_makereport(
+    item: pytest.Item, call: pytest.CallInfo[None]
+) -> Generator[None, pytest.TestReport, pytest.TestReport]:
+    """With ``--require-services`` a test that is skipped for want of a service fails, with the reason."""
+    report = yield
+    if report.skipped and not hasattr(report, "wasxfail") and item.config.getoption("--require-services"):
+        marked = any(mark.name.startswith("needs_") for mark in item.iter_markers())
+        if marked or (call.excinfo is not None and call.excinfo.errisinstance(Missing)):
+            reason = call.excinfo.value if call.excinfo is not None else "skipped"
+            report.outcome = "failed"
+            report.longrepr = f"{item.nodeid}: {reason} (--require-services)"
+    return report
 
 
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
@@ -44,6 +62,11 @@ def _tells_services_apart(item: pytest.Item) -> bool:
     if isinstance(item, pytest.Function) and hasattr(item, "callspec") and "engine" in item.callspec.params:
         return bool(item.callspec.params["engine"] == "postgresql")  # repositories choose their database themselves
     return not {"backend", "module_backend"}.isdisjoint(getattr(item, "fixturenames", ()))
+
+
+@pytest.fixture(name="free_port")
+def free_port_fixture() -> int:
+    return free_port()
 
 
 @pytest.fixture
@@ -127,7 +150,7 @@ def _settings(database_url: str, broker_url: str, location: Location) -> dict[st
 def make_database(postgres_url: str) -> Callable[[], str]:
     """Makes a PostgreSQL database with all tables: its URL."""
 
-    return lambda: _create_database(postgres_url)
+    return lambda: create_database(postgres_url)
 
 
 @pytest.fixture(scope="session")
@@ -150,24 +173,15 @@ def empty_service_database(service_database: str) -> str:
 
 @pytest.fixture(scope="session")
 def redis_server() -> Iterator[str]:
-    """URL of a redis-server of our own; skipped where the program is not installed."""
-    program = shutil.which("redis-server")
-    if program is None:
-        pytest.skip("needs the Debian package redis-server")
+    """Socket of a redis-server of our own; skipped where the program is not installed."""
+    redis = need("redis-server", "redis-server")
     folder = Path(tempfile.mkdtemp(prefix="redis"))
     socket = folder / "socket"
-    command = [program, "--port", "0", "--unixsocket", str(socket), "--dir", str(folder), "--save", ""]
-    server = subprocess.Popen(command, stdout=subprocess.DEVNULL)
+    command = [redis, "--port", "0", "--unixsocket", str(socket), "--dir", str(folder), "--save", ""]
     try:
-        for _ in range(100):
-            if socket.exists():
-                break
-            assert server.poll() is None
-            time.sleep(0.1)
-        yield str(socket)
+        with program(command, socket.exists, folder / "log"):
+            yield str(socket)
     finally:
-        server.terminate()
-        server.wait(20)
         shutil.rmtree(folder, ignore_errors=True)
 
 
@@ -194,83 +208,6 @@ def _empty_redis(url: str) -> None:
 S3_KEYS = {"access_key": "test-key", "secret_key": "test-secret"}
 
 
-class Postgres:
-    """A PostgreSQL server of our own on a Unix socket.
-
-    raises: pytest.skip.Exception where the programs are not installed
-    """
-
-    def __init__(self) -> None:
-        # Debian keeps the server's programs off the PATH.
-        folders = [os.environ["PATH"], *map(str, sorted(Path("/usr/lib/postgresql").glob("*/bin"), reverse=True))]
-        programs = os.pathsep.join(folders)
-        initdb, self._program = (shutil.which(name, path=programs) for name in ("initdb", "postgres"))
-        if initdb is None or self._program is None:
-            pytest.skip("needs PostgreSQL's initdb and postgres: the Debian package postgresql")
-        pytest.importorskip("pg8000")
-        self.folder = Path(tempfile.mkdtemp(prefix="pg"))
-        # PostgreSQL refuses to run as root.
-        self._user = "nobody" if os.getuid() == 0 else None
-        if self._user:
-            shutil.chown(self.folder, self._user)
-        self._env = {"PATH": programs, "HOME": str(self.folder)}
-        options = ["-U", "tomosim", "--auth=trust", "-N", "-E", "UTF8"]
-        subprocess.run(
-            [initdb, "-D", self.folder / "database", *options],
-            user=self._user,
-            cwd=self.folder,
-            env=self._env,
-            check=True,
-            capture_output=True,
-        )
-        self.url = f"postgresql://tomosim@/postgres?unix_sock={self.folder}/.s.PGSQL.5432"
-        self.process: subprocess.Popen[bytes] | None = None
-
-    def start(self) -> None:
-        """Starts the server and waits until it answers."""
-        assert self._program is not None
-        self.process = subprocess.Popen(
-            [self._program, "-D", self.folder / "database", "-k", self.folder, "-c", "listen_addresses=", "-F"],
-            user=self._user,
-            cwd=self.folder,
-            env=self._env,
-            stderr=subprocess.DEVNULL,
-        )
-        engine = connect(self.url)
-        for _ in range(100):
-            try:
-                engine.connect().close()
-                break
-            except sa.exc.DBAPIError:
-                assert self.process.poll() is None
-                time.sleep(0.1)
-        engine.dispose()
-
-    def stop(self, how: signal.Signals = signal.SIGINT) -> None:
-        """Ends the server without waiting for clients. how: SIGINT (fast) or SIGQUIT (immediate, as after a crash)"""
-        if self.process is not None:
-            self.process.send_signal(how)
-            self.process.wait(20)
-            self.process = None
-
-    def remove(self) -> None:
-        self.stop()
-        shutil.rmtree(self.folder, ignore_errors=True)
-
-
-def _create_database(postgres_url: str) -> str:
-    name = f"service_{uuid.uuid4().hex[:12]}"
-    engine = connect(postgres_url)
-    with engine.connect().execution_options(isolation_level="AUTOCOMMIT") as connection:
-        connection.execute(sa.text(f"CREATE DATABASE {name}"))
-    engine.dispose()
-    url = postgres_url.replace("/postgres?", f"/{name}?")
-    engine = connect(url)
-    schema.upgrade(engine)
-    engine.dispose()
-    return url
-
-
 @pytest.fixture(scope="session")
 def postgres_url() -> Iterator[str]:
     """URL of the PostgreSQL server that all tests share."""
@@ -288,7 +225,7 @@ def own_postgres() -> Iterator[tuple[Postgres, str]]:
     server = Postgres()
     try:
         server.start()
-        yield server, _create_database(server.url)
+        yield server, create_database(server.url)
     finally:
         server.remove()
 
@@ -310,27 +247,8 @@ def empty_postgres(postgres_url: str) -> Callable[[], None]:
 @pytest.fixture(scope="session")
 def s3_endpoint() -> Iterator[str]:
     """URL of an S3 service that keeps everything in memory."""
-    from moto.moto_server.werkzeug_app import DomainDispatcherApplication, create_backend_app
-    from werkzeug.serving import WSGIRequestHandler, make_server
-
-    class Quiet(WSGIRequestHandler):
-        def log(self, *args, **kwargs):
-            pass
-
-    app = DomainDispatcherApplication(create_backend_app)
-    one_at_a_time = threading.Lock()
-
-    def serve(environ, start_response):
-        # Conditional writes are atomic, which moto does not promise of requests that run side by side.
-        with one_at_a_time:
-            return list(app(environ, start_response))
-
-    server = make_server("127.0.0.1", 0, serve, threaded=True, request_handler=Quiet)
-    thread = threading.Thread(target=server.serve_forever, daemon=True)
-    thread.start()
-    yield f"http://127.0.0.1:{server.server_port}"
-    server.shutdown()
-    thread.join()
+    with object_storage.served() as url:
+        yield url
 
 
 @pytest.fixture(scope="session")

@@ -10,6 +10,8 @@ from pathlib import Path
 
 import pytest
 
+from tests.support.services import need
+
 ROOT = Path(__file__).parent.parent
 PAGE = (ROOT / "docs" / "deploy.md").read_text()
 BLOCKS = re.findall(r"<!-- on: (\w+) -->\n```sh\n(.*?)```", PAGE, re.DOTALL)
@@ -104,8 +106,7 @@ def run(who: str, text: str, names: dict[str, str], folders: dict[str, Path]) ->
 @pytest.mark.needs_redis
 def test_the_page_line_by_line(hosts, folders):
     for program in ("redis-server", "openssl", "curl"):
-        if shutil.which(program) is None:
-            pytest.skip(f"needs the Debian package of {program}")
+        need(program, program)
     said = []
     for number, (host, text) in enumerate(BLOCKS):
         if number == 2:  # scp

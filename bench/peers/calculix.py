@@ -19,7 +19,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from bench._bodies import Floats
+from bench.support.bodies import Floats
 from simcore.core.artifacts import Compression
 from simcore.fem.laws.neo_hookean import NeoHookean
 from simcore.mesh.quality import boundary_faces

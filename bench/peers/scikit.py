@@ -18,7 +18,7 @@ from scipy.sparse.linalg import splu
 from skfem import Basis, BilinearForm, ElementTetP1, ElementVector, LinearForm, MeshTet
 from skfem.helpers import ddot, det, grad, inv, mul, transpose
 
-from bench._bodies import Floats
+from bench.support.bodies import Floats
 from simcore.core.artifacts import Compression, TetMesh
 from simcore.fem.laws.neo_hookean import NeoHookean
 

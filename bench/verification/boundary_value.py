@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from scipy.sparse import bsr_matrix, coo_matrix, csc_matrix
 from scipy.sparse.linalg import splu
 
-from bench._bodies import Floats
+from bench.support.bodies import Floats
 from simcore.fem.elements.model import Model, System
 
 _MAX_NEWTON = 30

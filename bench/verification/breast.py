@@ -6,8 +6,8 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from bench._bodies import C_CUP, ONE_TISSUE, as_quadratic
 from bench.peers import calculix, scikit
+from bench.support.bodies import C_CUP, ONE_TISSUE, as_quadratic
 from bench.verification.check import Check, absolute, at_least, relative
 from bench.verification.exact import MATERIAL
 from bench.verification.explicit import relax

@@ -16,8 +16,8 @@ from pathlib import Path
 
 import numpy as np
 
-from bench._bodies import C_CUP, ONE_TISSUE, Floats, as_quadratic
 from bench.peers import calculix, scikit
+from bench.support.bodies import C_CUP, ONE_TISSUE, Floats, as_quadratic
 from bench.verification.check import Check, absolute, at_least, relative
 from bench.verification.exact import MATERIAL
 from simcore.core.artifacts import Compression, TetMesh

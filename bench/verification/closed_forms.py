@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from scipy.optimize import brentq
 
-from bench._bodies import Floats
+from bench.support.bodies import Floats
 from simcore.fem.laws.law import Law
 
 

@@ -10,8 +10,8 @@ from collections.abc import Iterator
 import numpy as np
 from skfem import Basis, ElementTriP1, ElementTriP2, ElementVector, LinearForm, MeshTri
 
-from bench._bodies import Floats
 from bench.peers.scikit import MixedProblem
+from bench.support.bodies import Floats
 from bench.verification.boundary_value import equilibrium
 from bench.verification.check import Check, at_least, relative
 from bench.verification.exact import model_of, order

@@ -6,7 +6,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from bench._bodies import ONE_TISSUE, Floats, cushion
+from bench.support.bodies import ONE_TISSUE, Floats, cushion
 from bench.verification.boundary_value import equilibrium, residual_and_tangent
 from bench.verification.check import Check, absolute, at_least, relative
 from bench.verification.closed_forms import hertz, piola_stress, uniaxial

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.sparse import csr_matrix
 
-from bench._bodies import Floats
+from bench.support.bodies import Floats
 from simcore.core.artifacts import TetMesh
 from simcore.fem.laws.law import Law
 

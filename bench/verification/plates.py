@@ -10,7 +10,7 @@ from scipy.sparse.linalg import splu
 from skfem import Basis, BilinearForm, ElementHex2, ElementVector, LinearForm, MeshHex
 from skfem.helpers import ddot, sym_grad, trace
 
-from bench._bodies import C_CUP, ONE_TISSUE, Floats
+from bench.support.bodies import C_CUP, ONE_TISSUE, Floats
 from bench.verification.check import Check, relative
 from bench.verification.exact import MATERIAL
 from simcore.fem import CompressionSpec, compress

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-from bench._bodies import C_CUP, ONE_TISSUE
+from bench.support.bodies import C_CUP, ONE_TISSUE
 from bench.verification.check import Check, at_least, relative
 from bench.verification.exact import MATERIAL
 from simcore.fem import CompressionSpec, compress

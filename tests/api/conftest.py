@@ -1,6 +1,5 @@
 """The API in this process, with a fake broker; cases are ended by hand or by the fake pipeline."""
 
-import importlib.util
 import os
 import shutil
 from collections.abc import Callable, Iterator
@@ -13,35 +12,17 @@ from starlette.routing import BaseRoute
 from api.app import create_app
 from api.http.deps import Services
 from simcore.spec import SimulationSpec
+from tests.support import fake_pipeline
+from tests.support.brokers import MemoryBroker
 from worker.settings import Settings
 
 URL = "http://127.0.0.1"
 LOOPBACK = ("127.0.0.1", 50000)
-FAKE_PIPELINE = Path(__file__).parent.parent / "worker" / "fake_pipeline.py"
-
-
-class FakeBroker:
-    """Remembers messages; answers unless it is down."""
-
-    def __init__(self) -> None:
-        self.messages: list[tuple[str, str]] = []
-        self.down = False
-
-    def send(self, identifier: str, queue: str = "interactive") -> None:
-        self.ping()
-        self.messages.append((identifier, queue))
-
-    def waiting(self, queue: str) -> int:
-        return sum(sent_to == queue for _, sent_to in self.messages)
-
-    def ping(self) -> None:
-        if self.down:
-            raise ConnectionError("connection refused")
 
 
 @pytest.fixture
-def broker() -> FakeBroker:
-    return FakeBroker()
+def broker() -> MemoryBroker:
+    return MemoryBroker()
 
 
 @pytest.fixture
@@ -61,11 +42,11 @@ def settings(
 def routes(tmp_path_factory: pytest.TempPathFactory) -> list[BaseRoute]:
     """Those of an application. FastAPI works them out at the first request, which takes it 0.2 s."""
     settings = Settings(data_folder=tmp_path_factory.mktemp("routes"))
-    return create_app(settings, FakeBroker(), sweep=False).router.routes
+    return create_app(settings, MemoryBroker(), sweep=False).router.routes
 
 
 @pytest.fixture
-def client(settings: Settings, broker: FakeBroker, routes: list[BaseRoute]) -> Iterator[TestClient]:
+def client(settings: Settings, broker: MemoryBroker, routes: list[BaseRoute]) -> Iterator[TestClient]:
     app = create_app(settings, broker, sweep=False)
     app.router.routes[:] = routes
     with TestClient(app, base_url=URL, client=LOOPBACK) as made:
@@ -92,14 +73,11 @@ def post(client: TestClient) -> Callable[..., dict]:
 @pytest.fixture
 def finish(served: Services) -> Callable[[str], None]:
     """Runs a queued case with the fake pipeline, here."""
-    spec = importlib.util.spec_from_file_location("fake_pipeline_of_api", FAKE_PIPELINE)
-    fake = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(fake)
 
     def run(identifier: str) -> None:
         assert served.jobs.claim(identifier, "test")
         specification = SimulationSpec.from_dict(served.jobs.specification(identifier))
-        result = fake.run(specification, served.store, lambda *a, **k: None)
+        result = fake_pipeline.run(specification, served.store, lambda *a, **k: None)
         assert served.jobs.succeed(identifier, "test", result.manifest)
 
     return run

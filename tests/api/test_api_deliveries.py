@@ -1,31 +1,17 @@
 """/v1/destinations and /v1/deliveries: made, changed, refused with words that help; who may do what."""
 
-import importlib.util
 import socket
 import threading
 from dataclasses import asdict
-from pathlib import Path
 
 import pytest
 from fastapi.testclient import TestClient
 
 from api.app import create_app
+from tests.support import peers
+from tests.support.dicom_files import TOMO, write_dicom
 from worker.delivery.outcomes import of_status
 from worker.delivery.sender import Sender
-
-TOMO = "1.2.840.10008.5.1.4.1.1.13.1.3"
-
-
-def _module(name):
-    path = Path(__file__).parent.parent / "worker" / "delivery" / f"{name}.py"
-    spec = importlib.util.spec_from_file_location(f"api_delivery_{name}", path)
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
-
-
-peers = _module("peers")
-write_dicom = _module("conftest").write_dicom
 
 URL = "http://127.0.0.1"
 PACS = {"name": "pacs", "host": "127.0.0.1", "port": 104, "called_aet": "PACS"}

@@ -2,7 +2,6 @@
 
 import json
 import threading
-import time
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 
 import pytest
@@ -10,9 +9,8 @@ from fastapi.testclient import TestClient
 from standardwebhooks.webhooks import Webhook as Verifier
 
 from api.app import create_app
+from tests.support.waiting import wait_for
 from worker.upkeep import outbound
-
-PATIENCE_SECONDS = 30
 
 
 @pytest.fixture
@@ -120,10 +118,9 @@ def test_from_the_end_of_a_case_to_a_verified_message(settings, broker):
             case = client.post("/v1/simulations", json={"name": "told"}).json()
             client.post(f"{case['links']['self']}/cancel")
             messages = f"{hook['links']['self']}/messages"
-            deadline = time.monotonic() + PATIENCE_SECONDS
-            while (message := client.get(messages).json()["items"][0])["state"] != "delivered":
-                assert time.monotonic() < deadline
-                time.sleep(0.05)
+            message = wait_for(
+                lambda: (m := client.get(messages).json()["items"][0])["state"] == "delivered" and m, "the delivery"
+            )
             shown = client.get(message["links"]["self"]).json()
     finally:
         server.shutdown()

@@ -7,9 +7,9 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from bench import projection
-from bench._balls import balls, integrals, voxels
-from bench._projection_page import page
+from bench.projection import run as projection
+from bench.projection.balls import balls, integrals, voxels
+from bench.projection.page import page
 from simcore.projection.materials import attenuation_table
 
 MU = attenuation_table("johns-yaffe-20keV")

@@ -9,10 +9,10 @@ from pathlib import Path
 
 import pytest
 
-from bench import _soak_check
-from bench._soak_check import Finding, check, left_running
-from bench._soak_service import MARKER
-from bench.soak import must_fail, soak, specification
+from bench.soak import check as checks
+from bench.soak.check import Finding, check, left_running
+from bench.soak.run import must_fail, soak, specification
+from bench.soak.service import MARKER
 from simcore.core.store import Hashing, Store
 from worker.records import schema
 from worker.records.database import connect
@@ -46,7 +46,7 @@ class Aftermath:
         self.jobs = Jobs(self.engine)
         self.specs = {f"soak-{n:03d}": specification(n) for n in range(3)}
         self.manifests = {name: self.manifest(name) for name in self.specs}
-        self.expected: dict[str, _soak_check.Files | None] = {
+        self.expected: dict[str, checks.Files | None] = {
             name: {"file": m["files"]["file"]["sha256"]} for name, m in self.manifests.items()
         }
         self.ids = {name: self.jobs.create({}, {}, name).id for name in self.specs}
@@ -138,7 +138,7 @@ def test_torn_and_missing_objects_are_seen(after: Aftermath) -> None:
 
 
 def test_an_orphan_is_seen_and_ended(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(_soak_check, "ORPHAN_SECONDS", 0.2)
+    monkeypatch.setattr(checks, "ORPHAN_SECONDS", 0.2)
     orphan = subprocess.Popen(
         [sys.executable, "-c", "import time; print(flush=True); time.sleep(60)"],
         env={**os.environ, MARKER: "a-test"},

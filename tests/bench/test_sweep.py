@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from bench._bodies import C_CUP, ONE_TISSUE, ellipsoid_labels, scaled_to
+from bench.support.bodies import C_CUP, ONE_TISSUE, ellipsoid_labels, scaled_to
 from bench.sweep import VOXEL_MM, Subject, disagreement, draw, faults, missing, stands_where_wider, with_gland
 from simcore.core.artifacts import Compression, TetMesh
 from simcore.core.tissues import Tissue

@@ -5,14 +5,15 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from bench._bodies import C_CUP, ONE_TISSUE, as_quadratic
 from bench.peers import calculix
+from bench.support.bodies import C_CUP, ONE_TISSUE, as_quadratic
 from bench.verification import breast, calculix_ladder, exact, plates, wall
 from bench.verification.check import Check, absolute, at_least, relative
 from bench.verification.explicit import relax
 from bench.verification.page import page
 from simcore.fem import CompressionSpec, compress
 from simcore.mesh.structured import box, half_ellipsoid
+from tests.support.services import need
 
 
 def assert_all_hold(checks: list[Check]) -> None:
@@ -96,8 +97,7 @@ def test_an_edge_at_the_fixed_wall_and_none() -> None:
 
 @pytest.mark.needs_calculix
 def test_calculix_agrees_on_a_block_and_nearly_on_a_breast() -> None:
-    if not calculix.available():
-        pytest.skip("ccx is not installed")
+    need("ccx", "calculix-ccx")
     block = box((30.0, 40.0, 20.0), (2, 4, 2))
     ours = compress(block, ONE_TISSUE, CompressionSpec(percent=30.0, material=exact.MATERIAL, tolerance=1e-8))
     theirs = calculix.hold(block.nodes, block.tets, exact.MATERIAL, ours)

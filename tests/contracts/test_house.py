@@ -14,6 +14,7 @@ from worker.delivery import overrides
 
 ROOT = Path(__file__).parents[2]
 HOUSES = ("simcore", "tomosim_contract", "worker", "api", "tomosim")
+BESIDE = ("bench", "tests")
 MAX_FILES = 20
 MAX_LINES = 400
 
@@ -53,10 +54,19 @@ def test_a_circle_is_seen():
 
 
 def test_no_module_imports_itself_by_way_of_others():
-    assert circles(grimp.build_graph(*HOUSES)) == []
+    graph = grimp.build_graph(*HOUSES, *BESIDE)
+    assert {"bench.same", "bench.verification.plates", "tests.support.servers", "tests.golden.cases"} <= graph.modules
+    assert circles(graph) == []
 
 
 @pytest.mark.parametrize("house", HOUSES)
+def test_nothing_that_is_installed_imports_tests_or_benches(house):
+    graph = grimp.build_graph(*HOUSES, *BESIDE)
+    for beside in BESIDE:
+        assert not graph.find_shortest_chains(importer=house, imported=beside, as_packages=True)
+
+
+@pytest.mark.parametrize("house", HOUSES + BESIDE)
 def test_no_folder_is_crowded_and_no_file_long(house):
     files = sorted((ROOT / house).rglob("*.py"))
     crowded = {str(f.relative_to(ROOT)): n for f, n in Counter(f.parent for f in files).items() if n > MAX_FILES}

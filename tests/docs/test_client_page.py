@@ -4,7 +4,6 @@ import inspect
 import os
 import re
 import signal
-import socket
 import subprocess
 import sys
 from collections.abc import Iterator
@@ -12,6 +11,7 @@ from pathlib import Path
 
 import pytest
 
+from tests.support.ports import free_port
 from tomosim.client import AsyncClient, Client
 
 ROOT = Path(__file__).parents[2]
@@ -23,13 +23,11 @@ def service(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[str]:
     """The address of a service with the pipeline of the service's tests."""
     for name in [n for n in os.environ if n.startswith("TOMOSIM_")]:
         monkeypatch.delenv(name)
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        port = probe.getsockname()[1]
+    port = free_port()
     env = {
         **os.environ,
-        "PYTHONPATH": os.pathsep.join([str(ROOT), str(ROOT / "tests" / "worker")]),
-        "TOMOSIM_PIPELINE": "fake_pipeline:run",
+        "PYTHONPATH": str(ROOT),
+        "TOMOSIM_PIPELINE": "tests.support.fake_pipeline:run",
     }
     command = [sys.executable, "-m", "tomosim", "serve", "--data", str(tmp_path / "data"), "--port", str(port)]
     process = subprocess.Popen(command, env=env, stdout=subprocess.PIPE, start_new_session=True)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib.util
 import re
 from pathlib import Path
 from typing import Any
@@ -18,10 +17,7 @@ from simcore.phantom.upload import registry
 from simcore.phantom.upload.reading import Reading
 from simcore.phantom.upload.spec import UploadedPhantom
 from simcore.spec import SimulationSpec
-
-_spec = importlib.util.spec_from_file_location("plates", Path(__file__).with_name("phantom") / "test_upload_plates.py")
-plates = importlib.util.module_from_spec(_spec)
-_spec.loader.exec_module(plates)
+from tests.support import plates
 
 UPLOADED = UploadedPhantom(
     sha256=64 * "0", shape=(50, 60, 50), spacing_mm=(1.0, 1.0, 1.0), compressed=True, extent_mm=(50.0, 60.0, 50.0)

@@ -3,7 +3,6 @@
 import json
 import os
 import queue
-import socket
 import subprocess
 import sys
 import threading
@@ -14,11 +13,12 @@ from pathlib import Path
 import anyio
 import httpx
 import pytest
-import uvicorn
 
 from api.app import create_app
 from simcore import presets
 from simcore.spec import SimulationSpec
+from tests.support.brokers import SilentBroker
+from tests.support.servers import served
 from tomosim import client as clients
 from tomosim.client import AsyncClient, Client, Retrying, ServiceError, twin
 from tomosim.client.files import Partial
@@ -27,27 +27,6 @@ from worker.compute.supervisor import Slot
 from worker.settings import Settings
 
 AT_ONCE = Retrying(first_seconds=0.0, longest_seconds=0.0)
-FAKE = Path(__file__).parent.parent / "worker"
-
-
-class NoBroker:
-    """Cases are run by the test."""
-
-    def send(self, identifier: str, queue: str = "interactive") -> None:
-        pass
-
-    def waiting(self) -> int:
-        return 1
-
-    def ping(self) -> None:
-        pass
-
-
-@pytest.fixture
-def free_port() -> int:
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        return int(probe.getsockname()[1])
 
 
 @pytest.fixture(scope="module")
@@ -55,10 +34,9 @@ def settings(tmp_path_factory: pytest.TempPathFactory, module_backend: dict[str,
     with pytest.MonkeyPatch.context() as patch:
         for name in [n for n in os.environ if n.startswith("TOMOSIM_")]:
             patch.delenv(name)
-        patch.setenv("PYTHONPATH", str(FAKE), prepend=os.pathsep)
         yield Settings.load(
             data_folder=tmp_path_factory.mktemp("data"),
-            pipeline="fake_pipeline:run",
+            pipeline="tests.support.fake_pipeline:run",
             webhook_private_hosts="127.0.0.1",
             memory_limit_bytes=3_000_000_000,
             **module_backend,
@@ -68,15 +46,9 @@ def settings(tmp_path_factory: pytest.TempPathFactory, module_backend: dict[str,
 @pytest.fixture(scope="module")
 def service(settings: Settings):
     """(address, application) of a running API."""
-    app = create_app(settings, NoBroker(), sweep=False)
-    server = uvicorn.Server(uvicorn.Config(app, host="127.0.0.1", port=0, log_level="warning"))
-    thread = threading.Thread(target=server.run, daemon=True)
-    thread.start()
-    while not server.started:
-        assert thread.is_alive()
-    yield f"http://127.0.0.1:{server.servers[0].sockets[0].getsockname()[1]}", app
-    server.should_exit = True
-    thread.join(10)
+    app = create_app(settings, SilentBroker(), sweep=False)
+    with served(app) as address:
+        yield address, app
 
 
 @pytest.fixture

@@ -1,13 +1,8 @@
 """The whole house with the real pipeline: a case is simulated, sent to Orthanc with its success, and read back."""
 
-import json
 import os
-import shutil
 import signal
-import socket
-import subprocess
 import sys
-import time
 from io import BytesIO
 
 import httpx
@@ -15,30 +10,14 @@ import pytest
 from pydicom import dcmread
 
 from simcore import presets
+from tests.support.orthanc import running
+from tests.support.ports import free_port
+from tests.support.servers import answers, program
+from tests.support.waiting import wait_for
 from tomosim.cli import main
 
 PATIENCE_SECONDS = 400
-
-
-def free_port():
-    with socket.socket() as s:
-        s.bind(("127.0.0.1", 0))
-        return int(s.getsockname()[1])
-
-
-def wait_for(condition, what):
-    deadline = time.monotonic() + PATIENCE_SECONDS
-    while not (found := condition()):
-        assert time.monotonic() < deadline, f"{what} did not happen"
-        time.sleep(0.1)
-    return found
-
-
-def answers(url):
-    try:
-        return httpx.get(url, timeout=5).is_success
-    except httpx.HTTPError:
-        return False
+START_SECONDS = PATIENCE_SECONDS
 
 
 @pytest.fixture(scope="module")
@@ -47,49 +26,21 @@ def service(tmp_path_factory, module_backend):
     port = free_port()
     command = [sys.executable, "-m", "tomosim", "serve", "--data", str(folder), "--port", str(port)]
     env = {**os.environ, **{f"TOMOSIM_{name.upper()}": str(value) for name, value in module_backend.items()}}
-    process = subprocess.Popen(command, env=env, start_new_session=True)
     url = f"http://127.0.0.1:{port}"
-    try:
-        wait_for(lambda: process.poll() is None and answers(f"{url}/readyz"), "the start")
+    log = tmp_path_factory.mktemp("log") / "log"
+    with program(command, lambda: answers(f"{url}/readyz"), log, env, START_SECONDS) as process:
         yield url
         process.send_signal(signal.SIGINT)
         assert process.wait(60) == 0
-    finally:
-        if process.poll() is None:
-            os.killpg(process.pid, signal.SIGKILL)
-            process.wait()
 
 
 @pytest.fixture(scope="module")
 def orthanc(tmp_path_factory):
     """(DICOM port, address) of a running Orthanc."""
-    if not shutil.which("Orthanc"):
-        pytest.skip("needs Orthanc: the Debian package orthanc")
-    folder = tmp_path_factory.mktemp("orthanc")
-    dicom, rest = free_port(), free_port()
-    (folder / "orthanc.json").write_text(
-        json.dumps(
-            {
-                "StorageDirectory": str(folder / "db"),
-                "IndexDirectory": str(folder / "db"),
-                "DicomAet": "ARCHIVE",
-                "DicomPort": dicom,
-                "DicomCheckCalledAet": True,
-                "DicomAlwaysAllowStore": True,
-                "UnknownSopClassAccepted": True,  # label maps are younger than this Orthanc
-                "HttpPort": rest,
-                "RemoteAccessAllowed": False,
-            }
-        )
-    )
-    with open(folder / "log", "wb") as log:
-        process = subprocess.Popen(["Orthanc", str(folder / "orthanc.json")], stdout=log, stderr=log)
-    try:
-        wait_for(lambda: process.poll() is None and answers(f"http://127.0.0.1:{rest}/system"), "the start of Orthanc")
-        yield dicom, f"http://127.0.0.1:{rest}"
-    finally:
-        process.terminate()
-        process.wait(30)
+    # Label maps are younger than this Orthanc.
+    options = {"DicomAet": "ARCHIVE", "UnknownSopClassAccepted": True}
+    with running(tmp_path_factory.mktemp("orthanc"), plugin=False, **options) as archive:
+        yield archive.port, archive.url
 
 
 @pytest.mark.needs_orthanc

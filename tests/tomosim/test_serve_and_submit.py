@@ -4,10 +4,8 @@ import hashlib
 import json
 import os
 import signal
-import socket
 import subprocess
 import sys
-import time
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -16,14 +14,10 @@ import pytest
 
 from simcore import presets
 from simcore.mesh.spec import LatticeMesh
+from tests.support.ports import free_port
+from tests.support.servers import answers, program
 
 TOMOSIM = [sys.executable, "-m", "tomosim"]
-
-
-def free_port() -> int:
-    with socket.socket() as s:
-        s.bind(("127.0.0.1", 0))
-        return int(s.getsockname()[1])
 
 
 @pytest.fixture(scope="module")
@@ -34,21 +28,10 @@ def service(
     port = free_port()
     env = {**os.environ, **{f"TOMOSIM_{name.upper()}": str(value) for name, value in module_backend.items()}}
     command = [*TOMOSIM, "serve", "--data", str(data), "--port", str(port)]
-    process = subprocess.Popen(command, env=env, start_new_session=True)
     url = f"http://127.0.0.1:{port}"
-    try:
-        for _ in range(600):
-            try:
-                if httpx.get(f"{url}/readyz").is_success:
-                    break
-            except httpx.HTTPError:
-                assert process.poll() is None, "the service ended while it started"
-            time.sleep(0.1)
+    log = tmp_path_factory.mktemp("log") / "log"
+    with program(command, lambda: answers(f"{url}/readyz"), log, env) as process:
         yield url, data, process
-    finally:
-        if process.poll() is None:
-            os.killpg(process.pid, signal.SIGKILL)
-            process.wait()
 
 
 def digests(folder: Path) -> dict[str, str]:

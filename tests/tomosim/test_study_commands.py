@@ -5,12 +5,10 @@ import io
 import json
 import os
 import sys
-import threading
 from pathlib import Path
 
 import anyio
 import pytest
-import uvicorn
 
 from api.app import create_app
 from simcore import estimate
@@ -18,25 +16,14 @@ from simcore.core.store import FileRef
 from simcore.spec import SimulationSpec
 from simcore.study import StudySpec
 from simcore.study.expansion import expand
+from tests.support.brokers import SilentBroker
+from tests.support.servers import served
 from tomosim.cli import main
 from tomosim.client import AsyncClient, Client
 from worker.settings import Settings
 
 EXAMPLES = sorted((Path(__file__).parents[2] / "tomosim" / "examples").glob("*.json"))
 STUDY = {"name": "mine", "axes": [{"kind": "grid", "field": "seed", "values": [1, 2, 3]}]}
-
-
-class NoBroker:
-    """Cases are ended by the test."""
-
-    def send(self, identifier: str, queue: str = "interactive") -> None:
-        pass
-
-    def waiting(self) -> int:
-        return 1
-
-    def ping(self) -> None:
-        pass
 
 
 @pytest.fixture(scope="module")
@@ -47,15 +34,9 @@ def service(tmp_path_factory: pytest.TempPathFactory, module_backend: dict[str, 
             patch.delenv(name)
         folder = tmp_path_factory.mktemp("data")
         settings = Settings.load(data_folder=folder, memory_limit_bytes=8_000_000_000, **module_backend)
-        app = create_app(settings, NoBroker(), sweep=False)
-        server = uvicorn.Server(uvicorn.Config(app, host="127.0.0.1", port=0, log_level="warning"))
-        thread = threading.Thread(target=server.run, daemon=True)
-        thread.start()
-        while not server.started:
-            assert thread.is_alive()
-        yield f"http://127.0.0.1:{server.servers[0].sockets[0].getsockname()[1]}", app.state.services
-        server.should_exit = True
-        thread.join(10)
+        app = create_app(settings, SilentBroker(), sweep=False)
+        with served(app) as address:
+            yield address, app.state.services
 
 
 @pytest.fixture

@@ -2,7 +2,6 @@
 
 import os
 import shutil
-import socket
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
@@ -12,8 +11,6 @@ import sqlalchemy as sa
 from worker.records.database import connect
 from worker.records.jobs import Jobs
 from worker.settings import Settings
-
-HERE = Path(__file__).parent
 
 
 class Clock:
@@ -48,20 +45,16 @@ def jobs(engine: sa.Engine, clock: Clock) -> Jobs:
     return Jobs(engine, lease_seconds=30, clock=clock)
 
 
-@pytest.fixture
-def free_port() -> int:
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        return int(probe.getsockname()[1])
-
-
 def _settings(folder: Path, patch: pytest.MonkeyPatch, backend: dict[str, object]) -> Callable[..., Settings]:
     for name in [n for n in os.environ if n.startswith("TOMOSIM_")]:
         patch.delenv(name)
-    patch.setenv("PYTHONPATH", str(HERE), prepend=os.pathsep)
 
     def make(**changes: object) -> Settings:
-        given = {"data_folder": folder, "pipeline": "fake_pipeline:run", "memory_limit_bytes": 3_000_000_000}
+        given = {
+            "data_folder": folder,
+            "pipeline": "tests.support.fake_pipeline:run",
+            "memory_limit_bytes": 3_000_000_000,
+        }
         return Settings.load(**{**given, **backend, **changes})
 
     return make

@@ -1,49 +1,21 @@
 """The real application on a loopback port, with a small case that the real export has written."""
 
-import importlib.util
-import sys
-import threading
-import time
 from collections.abc import Callable, Iterator
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
-from types import ModuleType
 
 import pydicom
 import pytest
-import uvicorn
 from dicomweb_client import DICOMwebClient
 from fastapi.testclient import TestClient
 
 from api.app import create_app
 from api.http.deps import Services
 from simcore.core.store import FileRef
+from tests.support import dicom_case
+from tests.support.brokers import SilentBroker
+from tests.support.servers import served as served_app
 from worker.settings import Settings
-
-EXPORT_CASES = Path(__file__).parents[2] / "simcore" / "dicom" / "conftest.py"
-
-
-class NoBroker:
-    """Takes messages and keeps none."""
-
-    def send(self, identifier: str, queue: str = "interactive") -> None:
-        pass
-
-    def waiting(self) -> int:
-        return 0
-
-    def ping(self) -> None:
-        pass
-
-
-def _module(path: Path) -> ModuleType:
-    spec = importlib.util.spec_from_file_location(f"dicomweb_{path.parent.name}_{path.stem}", path)
-    assert spec is not None
-    assert spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    sys.modules[spec.name] = module  # dataclasses look their module up
-    spec.loader.exec_module(module)
-    return module
 
 
 @dataclass
@@ -72,7 +44,7 @@ class Case:
 @pytest.fixture(scope="session")
 def make_case() -> Callable[..., object]:
     """Arguments of an export, made by hand."""
-    return _module(EXPORT_CASES).make_case
+    return dicom_case.make_case
 
 
 @pytest.fixture(scope="session")
@@ -102,7 +74,7 @@ def settings(tmp_path_factory: pytest.TempPathFactory, module_backend: dict[str,
 @pytest.fixture(scope="module")
 def client(settings: Settings) -> Iterator[TestClient]:
     with TestClient(
-        create_app(settings, NoBroker(), sweep=False), base_url="http://127.0.0.1", client=("127.0.0.1", 50000)
+        create_app(settings, SilentBroker(), sweep=False), base_url="http://127.0.0.1", client=("127.0.0.1", 50000)
     ) as made:
         yield made
 
@@ -152,16 +124,8 @@ def full_case(request: pytest.FixtureRequest, add_case: Callable[..., Case], exp
 @pytest.fixture(scope="module")
 def address(client: TestClient) -> Iterator[str]:
     """The same application on a free loopback port."""
-    server = uvicorn.Server(uvicorn.Config(client.app, port=0, host="127.0.0.1", lifespan="off", log_level="warning"))
-    thread = threading.Thread(target=server.run, daemon=True)
-    thread.start()
-    while not server.started:
-        assert thread.is_alive()
-        time.sleep(0.01)
-    port = server.servers[0].sockets[0].getsockname()[1]
-    yield f"http://127.0.0.1:{port}"
-    server.should_exit = True
-    thread.join(10)
+    with served_app(client.app, lifespan="off") as url:
+        yield url
 
 
 @pytest.fixture(scope="module")

@@ -7,8 +7,9 @@ import pytest
 from fastapi.testclient import TestClient
 
 from api.app import create_app
+from tests.support.brokers import SilentBroker
 
-from .conftest import Case, NoBroker
+from .conftest import Case
 
 VOLUME = "tomosynthesis.dcm"
 
@@ -25,7 +26,7 @@ def in_bucket(settings, make_location, tmp_path) -> Iterator[TestClient]:
         "store_secret_key": location.secret_key,
     }
     chosen = settings.model_copy(update=changes)
-    app = create_app(chosen, NoBroker(), sweep=False)
+    app = create_app(chosen, SilentBroker(), sweep=False)
     with TestClient(app, base_url="http://127.0.0.1", client=("127.0.0.1", 50000)) as http:
         yield http
 

@@ -8,8 +8,8 @@ import base64
 import shutil
 import subprocess
 import threading
-import time
 from collections.abc import Iterator
+from contextlib import closing
 from functools import partial
 from http.server import SimpleHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
@@ -17,7 +17,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from ..chromium import Browser
+from tests.support.chromium import Browser
+from tests.support.waiting import wait_for
 
 VIEWER = Path(__file__).parents[2] / "viewer"
 EXTRAS = ["presentation", "synthetic-2d", "ct", "attenuation", "report"]
@@ -26,7 +27,6 @@ NODE_MISSING = shutil.which("node") is None or not (VIEWER / "node_modules").is_
 pytestmark = [
     pytest.mark.sweep,
     pytest.mark.needs_chromium,
-    pytest.mark.skipif(shutil.which("chromium") is None, reason="needs the Debian package chromium"),
     pytest.mark.skipif(NODE_MISSING, reason="needs node, and `npm ci` in tests/viewer"),
 ]
 
@@ -71,15 +71,11 @@ def settings(settings, page):
 
 @pytest.fixture(scope="module")
 def browser(page: str, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Browser]:
-    started = Browser(tmp_path_factory.mktemp("chromium"), "")
-    started.call("Page.navigate", url=page)
-    deadline = time.monotonic() + 60
-    while not started.value("typeof window.start === 'function'"):
-        assert time.monotonic() < deadline
-        time.sleep(0.1)
-    assert started.value("window.start()") == "started"
-    yield started
-    started.close()
+    with closing(Browser(tmp_path_factory.mktemp("chromium"), "")) as started:
+        started.call("Page.navigate", url=page)
+        wait_for(lambda: started.value("typeof window.start === 'function'"), "the viewer")
+        assert started.value("window.start()") == "started"
+        yield started
 
 
 def show(browser: Browser, address: str, case, name: str, frame: int = 1, voi_function: str = "") -> dict:

@@ -4,9 +4,8 @@ import pytest
 from fastapi.testclient import TestClient
 
 from api.app import create_app
+from tests.support.brokers import SilentBroker
 from worker.settings import Settings, SettingsError
-
-from .conftest import NoBroker
 
 VIEWER = "http://viewer.example.org:3000"
 PREFLIGHT = {"Origin": VIEWER, "Access-Control-Request-Method": "GET"}
@@ -16,7 +15,7 @@ PREFLIGHT = {"Origin": VIEWER, "Access-Control-Request-Method": "GET"}
 def shared(settings):
     chosen = settings.model_copy(update={"cors_origins": f"https://other.example.org, {VIEWER}"})
     with TestClient(
-        create_app(chosen, NoBroker(), sweep=False), base_url="http://127.0.0.1", client=("127.0.0.1", 50000)
+        create_app(chosen, SilentBroker(), sweep=False), base_url="http://127.0.0.1", client=("127.0.0.1", 50000)
     ) as http:
         yield http
 

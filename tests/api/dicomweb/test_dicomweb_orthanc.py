@@ -1,10 +1,5 @@
 """The same case in Orthanc's DICOMweb plugin: searches, metadata and pixels are equal."""
 
-import json
-import shutil
-import socket
-import subprocess
-import time
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -14,6 +9,8 @@ import pydicom
 import pytest
 from dicomweb_client import DICOMwebClient
 from dicomweb_client.session_utils import create_session
+
+from tests.support.orthanc import running
 
 from .conftest import Case
 
@@ -30,39 +27,8 @@ OF_THE_SERVER = {"RetrieveURL", "InstanceAvailability", "AvailableTransferSyntax
 @pytest.fixture(scope="module")
 def orthanc(tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
     """The address of an Orthanc on a free loopback port."""
-    if not shutil.which("Orthanc") or not PLUGIN.exists():
-        pytest.skip("needs Orthanc and its plugin: the Debian packages orthanc and orthanc-dicomweb")
-    folder = tmp_path_factory.mktemp("orthanc")
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        port = probe.getsockname()[1]
-    configuration = {
-        "StorageDirectory": str(folder / "db"),
-        "IndexDirectory": str(folder / "db"),
-        "HttpPort": port,
-        "DicomServerEnabled": False,
-        "RemoteAccessAllowed": False,
-        "AuthenticationEnabled": False,
-        "Plugins": [str(PLUGIN)],
-    }
-    (folder / "orthanc.json").write_text(json.dumps(configuration))
-    address = f"http://127.0.0.1:{port}"
-    with open(folder / "log", "wb") as log:
-        server = subprocess.Popen(["Orthanc", str(folder / "orthanc.json")], stdout=log, stderr=log)
-    try:
-        deadline = time.monotonic() + START_SECONDS
-        while True:
-            assert server.poll() is None, (folder / "log").read_text()
-            assert time.monotonic() < deadline, "Orthanc did not start"
-            try:
-                httpx.get(f"{address}/system")
-                break
-            except httpx.TransportError:
-                time.sleep(0.05)
-        yield address
-    finally:
-        server.terminate()
-        server.wait(20)
+    with running(tmp_path_factory.mktemp("orthanc"), DicomServerEnabled=False) as archive:
+        yield archive.url
 
 
 @pytest.fixture(scope="module")

@@ -2,19 +2,17 @@
 
 import base64
 import http.client
-import shutil
-import threading
-import time
 from collections.abc import Iterator
+from contextlib import closing
 
 import pytest
-import uvicorn
 from pydantic import SecretStr
 
 from api.app import create_app
+from tests.support.chromium import Browser
+from tests.support.servers import served
+from tests.support.waiting import wait_for
 from worker.settings import Settings
-
-from ..chromium import Browser
 
 ADMIN_KEY = "tsk_admin_" + "k" * 40
 
@@ -23,31 +21,14 @@ ADMIN_KEY = "tsk_admin_" + "k" * 40
 def url(settings: Settings, broker) -> Iterator[str]:
     """Address of a service with API keys on."""
     app = create_app(settings.model_copy(update={"admin_key": SecretStr(ADMIN_KEY)}), broker, sweep=False)
-    server = uvicorn.Server(uvicorn.Config(app, host="127.0.0.1", port=0, log_level="warning"))
-    thread = threading.Thread(target=server.run, daemon=True)
-    thread.start()
-    while not server.started:
-        assert thread.is_alive()
-        time.sleep(0.01)
-    yield f"http://127.0.0.1:{server.servers[0].sockets[0].getsockname()[1]}"
-    server.should_exit = True
-    thread.join(20)
+    with served(app) as address:
+        yield address
 
 
 @pytest.fixture
 def browser(tmp_path) -> Iterator[Browser]:
-    if shutil.which("chromium") is None:
-        pytest.skip("needs the Debian package chromium")
-    started = Browser(tmp_path / "chromium", ADMIN_KEY)
-    yield started
-    started.close()
-
-
-def wait_for(condition, seconds=20.0):
-    deadline = time.monotonic() + seconds
-    while not condition():
-        assert time.monotonic() < deadline
-        time.sleep(0.05)
+    with closing(Browser(tmp_path / "chromium", ADMIN_KEY)) as started:
+        yield started
 
 
 @pytest.mark.needs_chromium

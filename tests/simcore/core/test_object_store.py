@@ -12,6 +12,7 @@ from simcore.core import bucket, object_store
 from simcore.core.bucket import Bucket, Location
 from simcore.core.errors import StoreError
 from simcore.core.object_store import ObjectStore
+from tests.support.waiting import wait_for
 
 
 @pytest.fixture
@@ -183,10 +184,7 @@ def test_who_was_killed_holds_up_nobody_of_its_own_machine(machine, location, th
     """Whoever killed it may be gone as well: a worker that dies takes its compute process along."""
     holder = multiprocessing.get_context("spawn").Process(target=_hold_for_ever, args=(tmp_path / "one", location))
     holder.start()
-    deadline = time.monotonic() + 60
-    while there.head("locks/k") is None:
-        assert time.monotonic() < deadline
-        time.sleep(0.05)
+    wait_for(lambda: there.head("locks/k"), "the lock")
     holder.kill()
     holder.join()
     held = there.head("locks/k")

@@ -14,8 +14,7 @@ from skimage.color import lab2rgb, rgb2lab
 
 from simcore.core.artifacts import ProjectionStack
 from simcore.core.tissues import Tissue
-
-from .conftest import ALL_EXTRAS, SmallCase, make_case
+from tests.support.dicom_case import ALL_EXTRAS, SmallCase, make_case
 
 VIEWS = [("L", "CC"), ("R", "CC"), ("L", "MLO"), ("R", "MLO")]
 

@@ -11,9 +11,9 @@ import pytest
 from numpy.typing import NDArray
 
 from simcore.core.artifacts import Volume
+from tests.support.dicom_case import SmallCase, make_case
 
 from .challenge_reader import box_mask, read_boxes, read_image, window
-from .conftest import SmallCase, make_case
 
 VIEWS = [("L", "CC"), ("R", "CC"), ("L", "MLO"), ("R", "MLO")]
 

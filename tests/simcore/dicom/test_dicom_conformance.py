@@ -14,8 +14,7 @@ from pydicom.dataset import Dataset
 from simcore.core.errors import ExportError
 from simcore.dicom import check
 from simcore.dicom.exposure import Exposure
-
-from .conftest import ALL_EXTRAS, SmallCase, make_case
+from tests.support.dicom_case import ALL_EXTRAS, SmallCase, make_case
 
 CASES = [
     pytest.param({"laterality": "L", "view": "CC", "views": 3, "extras": ALL_EXTRAS, "lesions": True}, id="LCC"),

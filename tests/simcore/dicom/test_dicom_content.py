@@ -21,8 +21,7 @@ from simcore.core.geometry import AcquisitionGeometry
 from simcore.core.grid import Grid
 from simcore.dicom import CaseDescription
 from simcore.dicom.resampling import encode_labels, nearest, sample
-
-from .conftest import SmallCase, make_case, make_phantom
+from tests.support.dicom_case import SmallCase, make_case, make_phantom
 
 
 def labels_by_definition(case: SmallCase) -> NDArray[np.uint8]:

@@ -1,6 +1,5 @@
 """An independent toolkit reads the files: dcmtk dumps every object and converts frames to the same pixels."""
 
-import shutil
 import subprocess
 from pathlib import Path
 
@@ -9,7 +8,8 @@ import pydicom
 import pytest
 from pydicom.pixels import pixel_array
 
-from .conftest import ALL_EXTRAS, make_case
+from tests.support.dicom_case import ALL_EXTRAS, make_case
+from tests.support.services import need
 
 pytestmark = pytest.mark.needs_dcmtk
 
@@ -17,8 +17,7 @@ DECODERS = {"rle": "dcmdrle", "jpeg-ls": "dcmdjpls"}
 
 
 def export(folder: Path, encoding: str = "none") -> dict[str, Path]:
-    if not shutil.which("dcmdrle"):
-        pytest.skip("needs the Debian package dcmtk")
+    need("dcmdrle", "dcmtk")
     names = make_case(views=2, lesions=True, encoding=encoding, extras=ALL_EXTRAS).export(folder)
     return {name: folder / name for name in names if name.endswith(".dcm")}
 

@@ -19,8 +19,7 @@ from simcore.dicom.common import Instance, item, set_pixels
 from simcore.dicom.common import write as write_to
 from simcore.dicom.pixels import MadeFrames
 from simcore.dicom.run_length import run_length_frame
-
-from .conftest import ALL_EXTRAS, SmallCase, make_case
+from tests.support.dicom_case import ALL_EXTRAS, SmallCase, make_case
 
 SYNTAXES = {"jpeg-ls": pydicom.uid.JPEGLSLossless, "rle": pydicom.uid.RLELossless}
 

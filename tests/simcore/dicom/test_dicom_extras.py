@@ -23,8 +23,7 @@ from simcore.dicom.lesions import find_lesions
 from simcore.dicom.objects.ct import water_per_mm
 from simcore.dicom.spec import ExportSpec
 from simcore.projection import PhysicsSpec, attenuation_per_mm
-
-from .conftest import ALL_EXTRAS, SmallCase, make_case
+from tests.support.dicom_case import ALL_EXTRAS, SmallCase, make_case
 
 WINDOWS = {"LCC": "lcc", "RMLO": "rmlo"}
 

@@ -15,8 +15,7 @@ from numpy.typing import NDArray
 from pydicom.dataset import Dataset
 
 from simcore.core.geometry import AcquisitionGeometry
-
-from .conftest import SmallCase, make_case
+from tests.support.dicom_case import SmallCase, make_case
 
 Vector = NDArray[np.float64]
 TOLERANCE = 1e-6

@@ -14,7 +14,7 @@ import pytest
 from highdicom._standard_utils import get_iod_module_map, get_module_attribute_map, get_sop_class_iod_map
 from pydicom.dataset import Dataset
 
-from .conftest import ALL_EXTRAS, make_case
+from tests.support.dicom_case import ALL_EXTRAS, make_case
 
 PIXELS = {"PixelData", "FloatPixelData"}
 TREES = {"sr-document-content"}

@@ -12,8 +12,8 @@ import pytest
 
 from simcore.core.geometry import AT_REST
 from simcore.dicom import check
+from tests.support.dicom_case import SmallCase, make_case
 
-from .conftest import SmallCase, make_case
 from .test_dicom_geometry import CORNERS, HEAD_OF_TUBE, TOLERANCE, read_isocenter, truth_in_gantry
 
 

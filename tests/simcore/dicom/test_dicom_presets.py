@@ -20,8 +20,8 @@ from simcore.core.geometry import AcquisitionGeometry
 from simcore.core.grid import Grid
 from simcore.dicom import check
 from simcore.projection import AcquisitionSpec, geometry_of
+from tests.support.dicom_case import ALL_EXTRAS, SmallCase, make_case
 
-from .conftest import ALL_EXTRAS, SmallCase, make_case
 from .test_dicom_geometry import Vector, read_isocenter, truth_in_gantry, voxel_in_patient
 
 TOLERANCE = 1e-3

@@ -22,8 +22,7 @@ from simcore import presets
 from simcore.core.geometry import AcquisitionGeometry
 from simcore.dicom.geometry import Frames, beam, source_distance
 from simcore.projection.acquisition import geometry_of
-
-from .conftest import ALL_EXTRAS, SmallCase, make_case
+from tests.support.dicom_case import ALL_EXTRAS, SmallCase, make_case
 
 DOCS = Path(__file__).parents[3] / "docs" / "dicom_readers.md"
 VIEWS = [("L", "CC"), ("R", "CC"), ("L", "MLO"), ("R", "MLO")]

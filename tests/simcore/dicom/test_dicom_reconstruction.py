@@ -14,9 +14,9 @@ from simcore.core.artifacts import ProjectionStack
 from simcore.core.geometry import AcquisitionGeometry, Detector
 from simcore.reconstruction import reconstruct
 from simcore.reconstruction.kinds.fbp import FilteredBackprojection
+from tests.support.dicom_case import SmallCase, make_case
 
 from . import independent_reader as reader
-from .conftest import SmallCase, make_case
 
 
 def simulated(laterality: str, view: str, encoding: str) -> SmallCase:

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from bench import percents
-from bench._bodies import ONE_TISSUE
+from bench.support.bodies import ONE_TISSUE
 from simcore.core.artifacts import TetMesh
 from simcore.core.errors import SolverError
 from simcore.fem import CompressionSpec, compress

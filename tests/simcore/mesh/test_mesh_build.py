@@ -6,7 +6,6 @@ import os
 import signal
 import subprocess
 import sys
-import time
 from pathlib import Path
 
 import numpy as np
@@ -21,6 +20,7 @@ from simcore.mesh import LatticeMesh, TetwildMesh, build, tetwild
 from simcore.mesh.quality import boundary_faces, radius_ratios, volumes
 from simcore.mesh.structured import box
 from simcore.mesh.surface import enclosed_volume
+from tests.support.waiting import wait_for
 
 SEMI_AXES = (34.0, 22.0, 25.0, 20.0)
 VOLUME = np.pi / 3 * 34 * 22 * 45
@@ -195,23 +195,23 @@ def test_child_dies_with_its_parent() -> None:
     root = str(Path(tetwild.__file__).parents[2])
     parent = subprocess.Popen([sys.executable, "-c", _slow_cube()], env={**os.environ, "PYTHONPATH": root})
     try:
-        for _ in range(600):
-            mesher = [p for p in _children(parent.pid) if b"simcore.mesh.tetwild" in _command(p)]
-            # It has asked for the signal once it maps the mesher's library.
-            if mesher and "PyfTetWild" in _maps(mesher[0]):
-                break
-            time.sleep(0.05)
-        else:
-            pytest.fail("the mesher did not start")
+        # It has asked for the signal once it maps the mesher's library.
+        mesher = wait_for(
+            lambda: next((p for p in _children(parent.pid) if _is_mesher(p) and "PyfTetWild" in _maps(p)), None),
+            "the start of the mesher",
+        )
     finally:
         parent.send_signal(signal.SIGKILL)
         parent.wait()
-    for _ in range(200):
-        if b"simcore.mesh.tetwild" not in _command(mesher[0]):
-            return
-        time.sleep(0.05)
-    os.kill(mesher[0], signal.SIGKILL)
-    pytest.fail("the mesher outlived its parent")
+    try:
+        wait_for(lambda: not _is_mesher(mesher), "the end of the mesher", seconds=10.0)
+    except AssertionError:
+        os.kill(mesher, signal.SIGKILL)
+        raise
+
+
+def _is_mesher(pid: int) -> bool:
+    return b"simcore.mesh.tetwild" in _command(pid)
 
 
 def _command(pid: int) -> bytes:

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import importlib.util
 from collections.abc import Callable
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -20,10 +18,7 @@ from simcore.phantom.seeds import layers, plant
 from simcore.phantom.spec import AnthropomorphicPhantom, CompartmentSpec, TextureSpec
 from simcore.phantom.survey import survey
 from simcore.phantom.texture import PLAIN, Texture, displaced, displaced_box, texture
-
-_spec = importlib.util.spec_from_file_location("phantom_oracles", Path(__file__).with_name("oracles.py"))
-oracles = importlib.util.module_from_spec(_spec)
-_spec.loader.exec_module(oracles)
+from tests.support import oracles
 
 
 def grown(

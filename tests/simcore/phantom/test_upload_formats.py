@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import gzip
-import importlib.util
 import io
 import zlib
 from collections.abc import Callable
@@ -18,10 +17,7 @@ from simcore.phantom.upload.formats.header import Header
 from simcore.phantom.upload.formats.joining import join, two_files
 from simcore.phantom.upload.reading import RawHeader, Reading
 from simcore.phantom.upload.values import labels_of
-
-_spec = importlib.util.spec_from_file_location("upload_files", Path(__file__).with_name("upload_files.py"))
-files = importlib.util.module_from_spec(_spec)
-_spec.loader.exec_module(files)
+from tests.support import upload_files as files
 
 OURS = ("+z", "+y", "+x")
 RANDOM = np.random.default_rng(0).integers(0, 127, (5, 6, 7))

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import bz2
 import gzip
-import importlib.util
 import io
 import re
 import time
@@ -27,10 +26,7 @@ from simcore.phantom.upload.reading import Reading
 from simcore.phantom.upload.spec import UploadedPhantom
 from simcore.phantom.upload.values import labels_of
 from simcore.presets import get
-
-_spec = importlib.util.spec_from_file_location("upload_files", Path(__file__).with_name("upload_files.py"))
-files = importlib.util.module_from_spec(_spec)
-_spec.loader.exec_module(files)
+from tests.support import upload_files as files
 
 RANDOM = np.random.default_rng(0).integers(0, 127, (5, 6, 7)).astype("u1")
 BREAST = files.half_breast()

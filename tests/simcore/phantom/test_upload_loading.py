@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import gzip
-import importlib.util
 import io
 import itertools
 import json
@@ -26,10 +25,7 @@ from simcore.phantom.upload.spec import UploadedPhantom
 from simcore.phantom.upload.wall import Ends
 from simcore.presets import get
 from simcore.spec import SimulationSpec
-
-_spec = importlib.util.spec_from_file_location("upload_files", Path(__file__).with_name("upload_files.py"))
-files = importlib.util.module_from_spec(_spec)
-_spec.loader.exec_module(files)
+from tests.support import upload_files as files
 
 VOXELS = files.half_breast()
 SPACING = (1.0, 0.9, 0.8)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from bench._siddon import siddon
+from bench.support.siddon import siddon
 from simcore.core.artifacts import Phantom
 from simcore.core.grid import Grid
 from simcore.core.tissues import Tissue

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from pydantic import ValidationError
 
-from bench._siddon import siddon
+from bench.support.siddon import siddon
 from simcore import estimate, presets
 from simcore.core.artifacts import Phantom
 from simcore.core.errors import GeometryError, SpecError

@@ -2,15 +2,15 @@
 
 import os
 import signal
-import subprocess
 import sys
-import time
 from collections import Counter
 
 import pytest
 from fastapi.testclient import TestClient
 
 from api.app import create_app
+from tests.support.servers import processes
+from tests.support.waiting import wait_for
 from worker.records.database import connect
 from worker.records.fleet import Fleet
 from worker.serve import broker
@@ -18,33 +18,11 @@ from worker.serve.processes import environment
 
 pytestmark = pytest.mark.sweep  # whole cases through two workers
 
-PATIENCE_SECONDS = 90
-
-
-def wait_for(condition, what):
-    deadline = time.monotonic() + PATIENCE_SECONDS
-    while not (found := condition()):
-        assert time.monotonic() < deadline, f"{what} did not happen"
-        time.sleep(0.05)
-    return found
-
 
 @pytest.fixture
 def start():
-    started = []
-
-    def run(command, env=None):
-        started.append(subprocess.Popen(command, env=env, stdout=subprocess.DEVNULL, stderr=subprocess.STDOUT))
-        return started[-1]
-
-    yield run
-    for process in reversed(started):
-        process.terminate()
-        try:
-            process.wait(20)
-        except subprocess.TimeoutExpired:
-            process.kill()
-            process.wait()
+    with processes() as run:
+        yield run
 
 
 @pytest.fixture(params=["folder", "bucket"])
@@ -80,7 +58,7 @@ def client(machines, start, free_port, tmp_path, log):
     shared = {
         "database_url": f"sqlite:///{tmp_path / 'shared.db'}",
         "broker_url": f"redis://127.0.0.1:{free_port}/0",
-        "pipeline": "shared_pipeline:run",
+        "pipeline": "tests.support.shared_pipeline:run",
         "sweep_seconds": 0.2,
     }
     workers = [settings.model_copy(update=shared) for settings in machines]

@@ -10,10 +10,10 @@ import signal
 import subprocess
 import sys
 import threading
-import time
 
 import pytest
 
+from tests.support.waiting import wait_for
 from worker.compute.supervisor import Slot, Slots
 from worker.records import schema
 from worker.records.database import connect
@@ -22,14 +22,6 @@ from worker.records.quotas import Submitter
 from worker.serve.processes import environment
 
 PATIENCE_SECONDS = 60
-
-
-def wait_for(condition, what="it"):
-    deadline = time.monotonic() + PATIENCE_SECONDS
-    while not (found := condition()):
-        assert time.monotonic() < deadline, f"{what} did not happen"
-        time.sleep(0.02)
-    return found
 
 
 def is_alive(pid: int) -> bool:

@@ -1,26 +1,21 @@
 """One delivery at a time to a destination: in parallel, cancelled, taken over, over TLS, held to a bandwidth."""
 
-import importlib.util
 import os
-import shutil
 import signal
 import subprocess
 import sys
 import threading
 from contextlib import closing
-from pathlib import Path
 
 import pytest
 
+from tests.support.peers import Link, Scp
+from tests.support.services import need
+from tests.support.waiting import wait_for
 from worker.delivery import association
 from worker.delivery.association import Throttle
 from worker.delivery.echo import echo
 from worker.serve.processes import environment
-
-_spec = importlib.util.spec_from_file_location("delivery_peers_too", Path(__file__).parent / "peers.py")
-peers = importlib.util.module_from_spec(_spec)
-_spec.loader.exec_module(peers)
-Scp, Link, wait_for = peers.Scp, peers.Link, peers.wait_for
 
 LARGE = {"rows": 4096, "columns": 2048}
 
@@ -173,8 +168,7 @@ def test_bandwidth_reaches_the_socket(room, monkeypatch):
 @pytest.fixture
 def certificates(tmp_path):
     """Keys and certificates for "localhost": of the peer and of ourselves, each its own authority."""
-    if not shutil.which("openssl"):
-        pytest.skip("needs openssl to make certificates")
+    need("openssl", "openssl")
     folder = tmp_path / "data" / "secrets"
     folder.mkdir(parents=True)
     for name in ("peer", "ours"):

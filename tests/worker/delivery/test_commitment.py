@@ -1,20 +1,15 @@
 """Storage commitment: asked for after the last instance, its report heard on either association."""
 
-import importlib.util
 import threading
 from contextlib import closing
-from pathlib import Path
 
 import pytest
 from pydicom.dataset import Dataset
 from pynetdicom import AE, evt
 from pynetdicom.sop_class import Verification
 
+from tests.support import peers
 from worker.delivery.commitment import PUSH_MODEL, PUSH_MODEL_INSTANCE, Listener
-
-_spec = importlib.util.spec_from_file_location("delivery_peers_also", Path(__file__).parent / "peers.py")
-peers = importlib.util.module_from_spec(_spec)
-_spec.loader.exec_module(peers)
 
 
 class Committing:

@@ -1,23 +1,19 @@
 """What peers do wrong, and what becomes of the delivery: nothing is lost, nothing is sent twice."""
 
-import importlib.util
 import signal
 import threading
 import time
 from contextlib import closing
-from pathlib import Path
 
 import pytest
 from pydicom.uid import JPEGLSLossless, RLELossless
 
+from tests.support import peers
+from tests.support.peers import Link, Scp, Silent
+from tests.support.waiting import wait_for
 from worker.delivery.association import AssociationError, Kind, connect
 from worker.delivery.echo import echo
 from worker.delivery.overrides import Entity
-
-_spec = importlib.util.spec_from_file_location("delivery_peers", Path(__file__).parent / "peers.py")
-peers = importlib.util.module_from_spec(_spec)
-_spec.loader.exec_module(peers)
-Scp, Link, Silent, wait_for = peers.Scp, peers.Link, peers.Silent, peers.wait_for
 
 MEGABYTE = {"rows": 512, "columns": 1024}
 LARGE = {"rows": 4096, "columns": 2048}

@@ -1,21 +1,16 @@
 """What is replaced inside pynetdicom."""
 
-import importlib.util
 import sys
 import threading
 import time
 from contextlib import closing
-from pathlib import Path
 from types import SimpleNamespace
 
 import pytest
 
+from tests.support import peers
 from worker.delivery.association import Kind, connect
 from worker.delivery.overrides import Checkpoint
-
-_spec = importlib.util.spec_from_file_location("delivery_peers", Path(__file__).parent / "peers.py")
-peers = importlib.util.module_from_spec(_spec)
-_spec.loader.exec_module(peers)
 
 
 @pytest.fixture

@@ -10,6 +10,7 @@ import sqlalchemy as sa
 from fastapi.testclient import TestClient
 
 from api.app import create_app
+from tests.support.waiting import wait_for
 from worker.records.database import AWAY, connect, outlast
 from worker.records.fleet import Fleet
 from worker.records.jobs import Jobs
@@ -22,13 +23,6 @@ THREADS = {"reaper", "courier", "garbage", "dicom-indexer"}
 LOCAL = {"base_url": "http://127.0.0.1", "client": ("127.0.0.1", 50000), "raise_server_exceptions": False}
 
 pytestmark = pytest.mark.needs_postgresql
-
-
-def wait_for(condition, seconds=30.0):
-    deadline = time.monotonic() + seconds
-    while not condition():
-        assert time.monotonic() < deadline
-        time.sleep(0.05)
 
 
 @pytest.fixture
@@ -103,7 +97,7 @@ def test_ten_restarts_under_running_cases(make_service_settings, own_postgres, s
             server.start()
             time.sleep(0.7)
         assert asker.stop() == {200, 503}
-        wait_for(lambda: not {"queued", "running"} & set(jobs.counts()), 60.0)
+        wait_for(lambda: not {"queued", "running"} & set(jobs.counts()))
         errors = [(row.id, row.error) for row in jobs.page(100) if row.error]
         assert errors == []
         assert jobs.counts() == {"succeeded": CASES}

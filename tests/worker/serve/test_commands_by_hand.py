@@ -1,51 +1,23 @@
 """``python -m api`` and ``python -m worker`` as docker-compose starts them: PostgreSQL, a broker on TCP."""
 
-import shutil
 import subprocess
 import sys
-import time
 
 import httpx
 import pytest
 
+from tests.support.ports import free_ports
+from tests.support.servers import answers, processes
+from tests.support.services import need
+from tests.support.waiting import wait_for
 from worker.serve import broker
 from worker.serve.processes import environment
-
-PATIENCE_SECONDS = 60
-
-
-def wait_for(condition, what):
-    deadline = time.monotonic() + PATIENCE_SECONDS
-    while not (found := condition()):
-        assert time.monotonic() < deadline, f"{what} did not happen"
-        time.sleep(0.1)
-    return found
 
 
 @pytest.fixture
 def start():
-    started = []
-
-    def run(command, env=None):
-        started.append(subprocess.Popen(command, env=env, stdout=subprocess.DEVNULL, stderr=subprocess.STDOUT))
-        return started[-1]
-
-    yield run
-    for process in reversed(started):
-        if process.poll() is None:
-            process.terminate()
-            try:
-                process.wait(20)
-            except subprocess.TimeoutExpired:
-                process.kill()
-                process.wait()
-
-
-def is_ready(url):
-    try:
-        return httpx.get(f"{url}/readyz").is_success
-    except httpx.HTTPError:
-        return False
+    with processes() as run:
+        yield run
 
 
 @pytest.fixture(params=["embedded", pytest.param("redis-server", marks=pytest.mark.needs_redis)])
@@ -53,26 +25,24 @@ def broker_program(request):
     """The broker of the package, and the one that a distribution brings."""
     if request.param == "embedded":
         return str(broker.find_server())
-    if not shutil.which("redis-server"):
-        pytest.skip("needs the Debian package redis-server")
-    return shutil.which("redis-server")
+    return need("redis-server", "redis-server")
 
 
 @pytest.mark.needs_postgresql
-def test_separate_processes(start, make_settings, postgres_url, empty_postgres, broker_program, free_port, tmp_path):
+def test_separate_processes(start, make_settings, postgres_url, empty_postgres, broker_program, tmp_path):
     empty_postgres()
-    broker_port = free_port + 1 if free_port < 65000 else free_port - 1
+    port, broker_port = free_ports(2)
     command = [broker_program, "--port", str(broker_port), "--bind", "127.0.0.1", "--dir", str(tmp_path)]
     start([*command, "--save", ""])
     settings = make_settings(
-        database_url=postgres_url, broker_url=f"redis://127.0.0.1:{broker_port}/0", port=free_port, sweep_seconds=0.3
+        database_url=postgres_url, broker_url=f"redis://127.0.0.1:{broker_port}/0", port=port, sweep_seconds=0.3
     )
     env = environment(settings)
     subprocess.run([sys.executable, "-m", "tomosim", "db", "upgrade"], env=env, check=True)
     worker = start([sys.executable, "-m", "worker"], env)
     start([sys.executable, "-m", "api"], env)
-    url = f"http://127.0.0.1:{free_port}"
-    wait_for(lambda: is_ready(url), "readiness")
+    url = f"http://127.0.0.1:{port}"
+    wait_for(lambda: answers(f"{url}/readyz"), "readiness")
     assert subprocess.run([sys.executable, "-m", "worker.health"], env=env).returncode == 0
 
     case = url + httpx.post(f"{url}/v1/simulations", json={"name": "fine"}).json()["links"]["self"]
@@ -86,7 +56,7 @@ def test_separate_processes(start, make_settings, postgres_url, empty_postgres, 
     slow = url + httpx.post(f"{url}/v1/simulations", json={"name": "slow"}).json()["links"]["self"]
     wait_for(lambda: httpx.get(slow).json()["progress"]["message"].startswith("step"), "the computation")
     worker.terminate()
-    worker.wait(PATIENCE_SECONDS)
+    worker.wait(60)
     assert httpx.get(slow).json()["state"] == "queued"
     assert subprocess.run([sys.executable, "-m", "worker.health"], env=env, stderr=subprocess.DEVNULL).returncode == 1
     start([sys.executable, "-m", "worker"], env)

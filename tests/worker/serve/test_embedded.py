@@ -6,7 +6,6 @@ import signal
 import socket
 import subprocess
 import sys
-import time
 import zipfile
 from contextlib import contextmanager
 from pathlib import Path
@@ -14,19 +13,12 @@ from pathlib import Path
 import httpx
 import pytest
 
+from tests.support.waiting import wait_for
 from worker.serve import broker
 from worker.serve.processes import environment
 from worker.settings import Settings
 
 PATIENCE_SECONDS = 90
-
-
-def wait_for(condition, what):
-    deadline = time.monotonic() + PATIENCE_SECONDS
-    while not (found := condition()):
-        assert time.monotonic() < deadline, f"{what} did not happen"
-        time.sleep(0.05)
-    return found
 
 
 def stat(pid):

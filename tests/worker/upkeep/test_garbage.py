@@ -1,12 +1,10 @@
 """Retention, pins and the collection of garbage: on SQLite and PostgreSQL, in a folder and in S3."""
 
-import importlib.util
 import os
 import subprocess
 import sys
 import threading
 import time
-from pathlib import Path
 
 import pytest
 import sqlalchemy as sa
@@ -16,6 +14,7 @@ from simcore.core.store import Store
 from simcore.phantom.upload import registry
 from simcore.phantom.upload.reading import Reading
 from simcore.spec import SimulationSpec
+from tests.support import fake_pipeline
 from worker.records import schema
 from worker.records.database import connect, simulations
 from worker.records.fleet import Chores
@@ -49,14 +48,6 @@ def real_jobs(database):
     return Jobs(database)
 
 
-def fake_pipeline():
-    path = Path(__file__).parents[1] / "fake_pipeline.py"
-    spec = importlib.util.spec_from_file_location("fake_pipeline_of_garbage", path)
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
-
-
 @pytest.fixture
 def run(real_jobs, store):
     """Computes a case: its row."""
@@ -64,7 +55,7 @@ def run(real_jobs, store):
     def case(seed, **options):
         row = real_jobs.create({"seed": seed}, {}, **options)
         real_jobs.claim(row.id, "test")
-        manifest = fake_pipeline().run(SimulationSpec(seed=seed), store, lambda *a, **k: None).manifest
+        manifest = fake_pipeline.run(SimulationSpec(seed=seed), store, lambda *a, **k: None).manifest
         assert real_jobs.succeed(row.id, "test", manifest)
         return real_jobs.get(row.id)
 

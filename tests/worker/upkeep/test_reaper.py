@@ -4,32 +4,15 @@ import time
 
 import pytest
 
+from tests.support.brokers import MemoryBroker
+from tests.support.waiting import wait_for
 from worker.records.fleet import Fleet
 from worker.upkeep.reaper import Reaper
 
 
-class FakeBroker:
-    """Takes messages, or refuses them."""
-
-    def __init__(self):
-        self.messages = []
-        self.down = False
-
-    def send(self, identifier, queue="interactive"):
-        if self.down:
-            raise ConnectionError("the broker is down")
-        self.messages.append((identifier, queue))
-
-    def waiting(self, queue):
-        return sum(sent_to == queue for _, sent_to in self.messages)
-
-    def ping(self):
-        pass
-
-
 @pytest.fixture
 def broker():
-    return FakeBroker()
+    return MemoryBroker()
 
 
 @pytest.fixture
@@ -107,10 +90,7 @@ def test_the_thread_survives_an_error(make_settings, jobs, engine, broker, clock
     try:
         time.sleep(0.1)
         broker.down = False
-        for _ in range(500):
-            if broker.messages:
-                break
-            time.sleep(0.02)
+        wait_for(lambda: broker.messages, "the message")
     finally:
         reaper.stop()
     assert broker.messages == [(identifier, "interactive")]

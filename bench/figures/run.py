@@ -19,9 +19,10 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from bench import _figure_views, _insertion, _resolution
-from bench._figures_page import page
-from bench._panels import grey, resized, save_panels
+from bench.figures import insertion, resolution
+from bench.figures import views as drawn
+from bench.figures.page import page
+from bench.support.panels import grey, resized, save_panels
 from simcore import pipeline, presets, projection
 from simcore.core import files
 from simcore.core.artifacts import Phantom
@@ -30,7 +31,7 @@ from simcore.presets import PAPER_ACQUISITIONS, paper_case
 from simcore.projection.spec import AcquisitionSpec, PhysicsSpec
 from simcore.reconstruction.spec import FilteredBackprojection
 
-DOCS = Path(__file__).parent.parent / "docs"
+DOCS = Path(__file__).parents[2] / "docs"
 IMAGES = DOCS / "images"
 TUBE_ANGLES = (-20, -10, 0, 10, 20)
 VIEWS = (7, 11, 13, 15, 30)
@@ -65,8 +66,8 @@ class Breast:
         """The reconstructed slice at mid height, 1/mm, (ny, nx) of detector pixels."""
         stack = projection.project(self.labels, acquisition, PhysicsSpec())
         z = acquisition.air_gap_mm + self.thickness / 2
-        volume = _insertion.slab(stack, FilteredBackprojection(), z - 0.5, z + 0.5)
-        return np.asarray(_insertion.attenuation(volume)[0])
+        volume = insertion.slab(stack, FilteredBackprojection(), z - 0.5, z + 0.5)
+        return np.asarray(insertion.attenuation(volume)[0])
 
 
 def tell(*words: object) -> None:
@@ -84,14 +85,14 @@ def main() -> int:
     slices = {(r, v): soft.slice(acquisition(r, v)) for r, v in PAPER_ACQUISITIONS if r == 40 or v == 15}
     figure_6(slices, hard.slice(acquisition(40, 15)))
     del slices
-    objects = _insertion.choose(soft.labels)
+    objects = insertion.choose(soft.labels)
     outcomes = []
     for angular_range, views in PAPER_ACQUISITIONS:
         tell("objects", f"{angular_range}°/{views}")
-        outcomes.append(_insertion.measure(soft.labels, objects, acquisition(angular_range, views), PhysicsSpec()))
-    _figure_views.draw(outcomes, IMAGES / "figure_views.png")
-    edge = _resolution.detector_edge()
-    beads = {f"{r}°/15": _resolution.slice_beads(acquisition(r, 15)) for r in RANGES}
+        outcomes.append(insertion.measure(soft.labels, objects, acquisition(angular_range, views), PhysicsSpec()))
+    drawn.draw(outcomes, IMAGES / "figure_views.png")
+    edge = resolution.detector_edge()
+    beads = {f"{r}°/15": resolution.slice_beads(acquisition(r, 15)) for r in RANGES}
     (DOCS / "figures.md").write_text(page(outcomes, objects, edge, beads))
     print(json.dumps({"acquisitions": [o.to_dict() for o in outcomes], "edge": edge, "beads": beads}))
     return 0
@@ -155,7 +156,3 @@ def window_of(image: Image) -> tuple[float, float]:
     inside = image[image > 0.25 * float(np.percentile(image, 99.5))]
     high = 1.1 * float(np.percentile(inside, 97))
     return -0.05 * high, high
-
-
-if __name__ == "__main__":
-    sys.exit(main())

@@ -7,49 +7,33 @@ that ends in no time and an administrator's key. Last line: {"operations", "case
 from __future__ import annotations
 
 import argparse
-import importlib.util
 import json
 import logging
 import os
-import socket
 import subprocess
 import sys
 import tempfile
 import threading
 import time
-import urllib.request
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from types import ModuleType
 from typing import Any
 
 import httpx
-import uvicorn
 
 from api.app import create_app
-from bench._schemathesis_resources import Values, configuration, make, make_dicom_cases
+from bench.schemathesis.resources import Values, configuration, make, make_dicom_cases
 from simcore.core.errors import SimulationError
 from simcore.spec import SimulationSpec
+from tests.support import fake_pipeline
+from tests.support.brokers import SilentBroker
+from tests.support.servers import served
 from worker.settings import Settings
 
-ROOT = Path(__file__).parent.parent
-CONFIGURATION = Path(__file__).with_suffix(".toml")
-FAKE_PIPELINE = ROOT / "tests" / "worker" / "fake_pipeline.py"
+CONFIGURATION = Path(__file__).with_name("configuration.toml")
 SECRET = "a-key-for-tests-that-may-do-everything"
-START_SECONDS = 60.0
-
-
-class MemoryBroker:
-    """Takes messages and forgets them: ``Finisher`` looks into the database."""
-
-    def send(self, identifier: str, queue: str = "interactive") -> None: ...
-
-    def waiting(self, queue: str) -> int:
-        return 1
-
-    def ping(self) -> None: ...
 
 
 class Finisher(threading.Thread):
@@ -61,24 +45,23 @@ class Finisher(threading.Thread):
         self.stopping = threading.Event()
 
     def run(self) -> None:
-        pipeline = _fake_pipeline()
-        served = self.app.state.services
+        services = self.app.state.services
         while not self.stopping.wait(0.02):
-            served.fleet.beat("finisher", 1)
-            for job in served.jobs.unsent() + served.jobs.sent_before(time.time() + 1):
-                if served.jobs.claim(job.id, "finisher") is None:
+            services.fleet.beat("finisher", 1)
+            for job in services.jobs.unsent() + services.jobs.sent_before(time.time() + 1):
+                if services.jobs.claim(job.id, "finisher") is None:
                     continue
                 try:
-                    specification = SimulationSpec.from_dict(served.jobs.specification(job.id))
+                    specification = SimulationSpec.from_dict(services.jobs.specification(job.id))
                     # The name asks the fake pipeline for misbehaviour.
-                    result = pipeline.run(specification.with_(name=""), served.store, lambda *a, **k: None)
-                    served.jobs.succeed(job.id, "finisher", result.manifest)
+                    result = fake_pipeline.run(specification.with_(name=""), services.store, lambda *a, **k: None)
+                    services.jobs.succeed(job.id, "finisher", result.manifest)
                 except SimulationError as error:
-                    served.jobs.fail(job.id, "finisher", error.to_dict())
-            for delivery in served.deliveries.unsent() + served.deliveries.sent_before(time.time() + 1):
-                if served.deliveries.claim(delivery.id, "finisher") is not None:
+                    services.jobs.fail(job.id, "finisher", error.to_dict())
+            for delivery in services.deliveries.unsent() + services.deliveries.sent_before(time.time() + 1):
+                if services.deliveries.claim(delivery.id, "finisher") is not None:
                     error = {"kind": "system", "code": "no-answer", "message": "nothing listens there"}
-                    served.deliveries.fail(delivery.id, "finisher", error)
+                    services.deliveries.fail(delivery.id, "finisher", error)
 
 
 @dataclass(frozen=True)
@@ -92,9 +75,7 @@ class Target:
 @contextmanager
 def service() -> Iterator[Target]:
     """A running service that holds a few of everything."""
-    with tempfile.TemporaryDirectory() as folder, socket.socket() as listening:
-        listening.bind(("127.0.0.1", 0))
-        url = f"http://127.0.0.1:{listening.getsockname()[1]}"
+    with tempfile.TemporaryDirectory() as folder:
         settings = Settings.load(
             data_folder=Path(folder),
             admin_key=SECRET,
@@ -105,24 +86,19 @@ def service() -> Iterator[Target]:
             # Schemathesis repeats requests with their keys, and would be given what it has deleted meanwhile.
             idempotency_seconds=1e-6,
         )
-        app = create_app(settings, MemoryBroker(), sweep=False)
-        server = uvicorn.Server(uvicorn.Config(app, log_config=None, access_log=False, timeout_graceful_shutdown=1))
-        thread = threading.Thread(target=server.run, args=([listening],), name="server", daemon=True)
-        thread.start()
-        _wait_until_it_answers(f"{url}/livez")
+        app = create_app(settings, SilentBroker(), sweep=False)
         finisher = Finisher(app)
-        try:
-            with httpx.Client(base_url=url, headers={"Authorization": f"Bearer {SECRET}"}, timeout=60) as http:
-                dicom_cases = make_dicom_cases(http, app.state.services, Path(folder))
-                finisher.start()
-                values = make(http, dicom_cases)
-            yield Target(url, values)
-        finally:
-            finisher.stopping.set()
-            if finisher.is_alive():
-                finisher.join(10)
-            server.should_exit = True
-            thread.join(20)
+        with served(app) as url:
+            try:
+                with httpx.Client(base_url=url, headers={"Authorization": f"Bearer {SECRET}"}, timeout=60) as http:
+                    dicom_cases = make_dicom_cases(http, app.state.services, Path(folder))
+                    finisher.start()
+                    values = make(http, dicom_cases)
+                yield Target(url, values)
+            finally:
+                finisher.stopping.set()
+                if finisher.is_alive():
+                    finisher.join(10)
 
 
 def run(target: Target, arguments: list[str]) -> tuple[int, str]:
@@ -138,28 +114,6 @@ def run(target: Target, arguments: list[str]) -> tuple[int, str]:
         ]
         done = subprocess.run(command, cwd=folder, capture_output=True, text=True, env={**os.environ, "COLUMNS": "160"})
     return done.returncode, done.stdout + done.stderr
-
-
-def _wait_until_it_answers(url: str) -> None:
-    deadline = time.monotonic() + START_SECONDS
-    while True:
-        try:
-            urllib.request.urlopen(url, timeout=5).close()
-            return
-        except OSError:
-            if time.monotonic() > deadline:
-                raise
-            time.sleep(0.05)
-
-
-def _fake_pipeline() -> ModuleType:
-    spec = importlib.util.spec_from_file_location("fake_pipeline", FAKE_PIPELINE)
-    assert spec is not None
-    assert spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    sys.modules["fake_pipeline"] = module
-    spec.loader.exec_module(module)
-    return module
 
 
 def main() -> int:
@@ -178,7 +132,3 @@ def main() -> int:
     print(output)
     print(json.dumps({"seed": args.seed, "exit_code": code}))
     return code
-
-
-if __name__ == "__main__":
-    sys.exit(main())

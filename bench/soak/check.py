@@ -13,7 +13,7 @@ from typing import Any
 
 import sqlalchemy as sa
 
-from bench._soak_service import marked
+from bench.soak.service import marked
 from simcore.core.errors import SimulationError
 from simcore.core.store import FileRef, StageRecord, Store, file_digest
 from simcore.spec import SimulationSpec

@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from bench.figures.insertion import attenuation, slab
 from simcore import projection
 from simcore.core.artifacts import Phantom
 from simcore.core.grid import Grid
@@ -14,8 +15,6 @@ from simcore.core.tissues import Tissue
 from simcore.projection.spec import AcquisitionSpec, DetectorSpec, PhysicsSpec
 from simcore.quality.mtf import frequency_at, line_spread_mtf, peak_normalised, slanted_edge_mtf
 from simcore.reconstruction.spec import FilteredBackprojection
-
-from ._insertion import attenuation, slab
 
 VOXEL = 0.1
 BEAD = 0.1

@@ -12,14 +12,6 @@ MG = "1.2.840.10008.5.1.4.1.1.1.2.1"
 TOMO = "1.2.840.10008.5.1.4.1.1.13.1.3"
 
 
-def wait_for(condition, what="it", patience_seconds=30):
-    deadline = time.monotonic() + patience_seconds
-    while not (found := condition()):
-        assert time.monotonic() < deadline, f"{what} did not happen"
-        time.sleep(0.02)
-    return found
-
-
 def _end(used):
     """Closing alone tells the other side nothing while a thread of ours still reads from the socket."""
     with contextlib.suppress(OSError):

@@ -5,7 +5,6 @@ from __future__ import annotations
 import os
 import random
 import signal
-import socket
 import sys
 import time
 import uuid
@@ -17,6 +16,7 @@ from subprocess import Popen
 import httpx
 from sqlalchemy.exc import SQLAlchemyError
 
+from tests.support.ports import free_port
 from worker.records import schema
 from worker.records.database import connect
 from worker.records.fleet import Fleet
@@ -46,7 +46,7 @@ class Service:
         self.marker = uuid.uuid4().hex
         self.settings = Settings.load(
             data_folder=data,
-            port=_free_port(),
+            port=free_port(),
             threads_per_slot=1,
             memory_limit_bytes=4_000_000_000,
             lease_seconds=5.0,
@@ -152,9 +152,3 @@ def marked(marker: str) -> Iterator[tuple[int, str]]:
                 yield int(folder.name), (folder / "cmdline").read_bytes().replace(b"\0", b" ").decode()
         except OSError:
             continue  # it has ended, or belongs to somebody else
-
-
-def _free_port() -> int:
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        return int(probe.getsockname()[1])

@@ -6,21 +6,18 @@ time. What it deletes is gone for the rest of the run, so there are several of e
 
 from __future__ import annotations
 
-import importlib.util
 import json
-import time
 from dataclasses import asdict
 from pathlib import Path
-from types import ModuleType
 from typing import Any
 
 import httpx
 
 from api.http.deps import Services
+from tests.support.dicom_files import write_dicom
+from tests.support.waiting import wait_for
 
-WRITE_DICOM = Path(__file__).parent.parent / "tests" / "worker" / "delivery" / "conftest.py"
 OF_EACH = 4
-PATIENCE_SECONDS = 60.0
 PROBABILITY = 0.5
 
 Values = dict[str, list[str]]
@@ -94,12 +91,9 @@ def _post(http: httpx.Client, path: str, body: Any) -> Any:
 
 
 def _wait_until_all_have_succeeded(http: httpx.Client, identifiers: list[str]) -> None:
-    deadline = time.monotonic() + PATIENCE_SECONDS
     for identifier in identifiers:
-        while (state := http.get(f"/v1/simulations/{identifier}").json()["state"]) != "succeeded":
-            if time.monotonic() > deadline:
-                raise TimeoutError(f"simulation {identifier} is {state} after {PATIENCE_SECONDS:g} s")
-            time.sleep(0.05)
+        path = f"/v1/simulations/{identifier}"
+        wait_for(lambda path=path: http.get(path).json()["state"] == "succeeded", f"the end of {identifier}")
 
 
 def make_dicom_cases(http: httpx.Client, served: Services, folder: Path) -> list[str]:
@@ -110,19 +104,10 @@ def make_dicom_cases(http: httpx.Client, served: Services, folder: Path) -> list
         files = {}
         for name in ("projections/0001.dcm", "projections/0002.dcm"):
             path = folder / "made.dcm"
-            _dicom().write_dicom(path, number=len(files) + 1, seed=number, study=f"2.25.{number + 7}")
+            write_dicom(path, number=len(files) + 1, seed=number, study=f"2.25.{number + 7}")
             files[name] = asdict(served.store.add(path))
         identifier = served.jobs.create({}, needs, "dicom").id
         assert served.jobs.claim(identifier, "resources") is not None
         assert served.jobs.succeed(identifier, "resources", {"files": files, "stages": [], "results": {}})
         identifiers.append(identifier)
     return identifiers
-
-
-def _dicom() -> ModuleType:
-    spec = importlib.util.spec_from_file_location("schemathesis_dicom", WRITE_DICOM)
-    assert spec is not None
-    assert spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module

@@ -9,7 +9,7 @@ import matplotlib
 matplotlib.use("Agg")
 import matplotlib.pyplot as plt
 
-from bench._insertion import DEPTH, FAN, Outcome
+from bench.figures.insertion import DEPTH, FAN, Outcome
 
 SHOWN = (7, 11, 15, 30)
 """Numbers of views whose shadow of a bead is drawn, over 40 degrees."""

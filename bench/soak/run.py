@@ -15,7 +15,6 @@ from __future__ import annotations
 import argparse
 import contextlib
 import json
-import os
 import random
 import sys
 import tempfile
@@ -25,8 +24,8 @@ from collections import Counter
 from pathlib import Path
 from typing import Any
 
-from bench._soak_check import Finding, check, left_running, reference_files
-from bench._soak_service import Service
+from bench.soak.check import Finding, check, left_running, reference_files
+from bench.soak.service import Service
 from simcore import presets
 from simcore.mesh.spec import LatticeMesh
 from simcore.spec import SimulationSpec
@@ -180,8 +179,3 @@ def wait_for_the_end(service: Service, posting: Posting) -> None:
 
 def say(text: str) -> None:
     print(f"soak: {text}", file=sys.stderr, flush=True)
-
-
-if __name__ == "__main__":
-    os.environ.pop("TOMOSIM_PIPELINE", None)
-    sys.exit(main())

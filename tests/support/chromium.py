@@ -5,10 +5,11 @@ import json
 import os
 import select
 import shlex
-import shutil
 import signal
 import subprocess
 import time
+
+from tests.support.services import need
 
 OPTIONS = (
     "--headless --no-sandbox --disable-gpu --disable-quic --no-first-run --disable-background-networking "
@@ -19,6 +20,7 @@ OPTIONS = (
 class Browser:
     """Headless Chromium, by its DevTools protocol on a pair of pipes: messages of JSON that end with a zero byte.
 
+    raises: Missing where it is not installed
     password: the answer where it asks for one, as a person would give it; ``asked``: how often it did.
     """
 
@@ -27,7 +29,7 @@ class Browser:
         self.asked = 0
         to_browser, self._to = os.pipe()
         self._from, from_browser = os.pipe()
-        program = shlex.quote(shutil.which("chromium") or "")
+        program = shlex.quote(need("chromium", "chromium"))
         command = (
             f"exec {program} {OPTIONS} --user-data-dir={shlex.quote(str(folder))} 3<&{to_browser} 4>&{from_browser}"
         )

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from typing import Any
 
-from bench._insertion import AWAY, BEAD_RADIUS, DISK_HEIGHT, DISK_RADIUS, Inserted, Outcome
-from bench._resolution import FREQUENCIES
+from bench.figures.insertion import AWAY, BEAD_RADIUS, DISK_HEIGHT, DISK_RADIUS, Inserted, Outcome
+from bench.figures.resolution import FREQUENCIES
 from simcore.core.tissues import Tissue
 
 

@@ -2,7 +2,7 @@
 
     python -m bench.projection          writes docs/projection_accuracy.md
 
-The scene is one with exact line integrals: a ball of fat with capsules of 0.4 mm around masses (bench/_balls.py).
+The scene is one with exact line integrals: a ball of fat with capsules of 0.4 mm around masses (balls.py).
 Last line: one JSON object.
 """
 
@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import argparse
 import json
-import sys
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -19,9 +18,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from bench._balls import Balls, balls, integrals, voxels
-from bench._projection_page import page
-from bench._timing import in_turns, machine_load
+from bench.projection.balls import Balls, balls, integrals, voxels
+from bench.projection.page import page
+from bench.support.timing import in_turns, machine_load
 from simcore.core.artifacts import Phantom
 from simcore.core.geometry import AcquisitionGeometry
 from simcore.core.grid import Grid
@@ -34,7 +33,7 @@ from simcore.projection.rays import project_rays
 from simcore.projection.spec import AcquisitionSpec, DetectorSpec
 from simcore.projection.stage import with_rays
 
-ROOT = Path(__file__).parents[1]
+ROOT = Path(__file__).parents[2]
 EDGES = (1.6, 0.8, 0.4, 0.2)
 STEPS = (0.45, 0.225, 0.1125, 0.05625)
 LEVELS = 256
@@ -180,7 +179,3 @@ def cost_of_maps(scene: Balls, mu: Array) -> dict[str, float]:
     error = max(float(np.abs(a - b).max()) for a, b in zip(timings["four"].result, timings["maps"].result, strict=True))
     seconds = {f"{name}_s": round(timing.cpu_s, 4) for name, timing in timings.items()}
     return {**seconds, "ratio": round(timings["four"].cpu_s / timings["maps"].cpu_s, 2), "largest_difference": error}
-
-
-if __name__ == "__main__":
-    sys.exit(main())

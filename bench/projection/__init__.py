@@ -1,0 +1,1 @@
+"""The accuracy of projections: docs/projection_accuracy.md."""

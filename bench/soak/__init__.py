@@ -1,0 +1,1 @@
+"""A service whose processes are killed at random."""

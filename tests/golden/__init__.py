@@ -1,0 +1,1 @@
+"""Results of small specifications, held to references."""

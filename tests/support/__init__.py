@@ -1,0 +1,1 @@
+"""What tests and benches share: waiting, ports, services and their stand-ins, programs, files."""
