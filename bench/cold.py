@@ -22,7 +22,7 @@ import time
 from pathlib import Path
 from typing import Any
 
-from bench.same import ROOT, worktree
+from bench.same.run import ROOT, worktree
 from bench.support.timing import Stolen, machine_load
 from simcore import presets
 

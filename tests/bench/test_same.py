@@ -6,8 +6,8 @@ from typing import Any
 
 import pytest
 
-from bench import same
-from bench.same import compared
+from bench.same import run as same
+from bench.same.run import compared
 
 
 def stage(seconds: float, **digests: str) -> dict[str, Any]:

@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
-from bench._analog import simulate_analog
-from bench._scatter_bodies import arc, block_setting, pure_cells
-from bench.physics_transport import blocks_of, slab_rows
-from bench.scatter import RESPONSE, SPECTRUM, breast_setting
+from bench.physics_transport.analog import simulate_analog
+from bench.physics_transport.run import blocks_of, slab_rows
+from bench.scatter.bodies import arc, block_setting, pure_cells
+from bench.scatter.run import RESPONSE, SPECTRUM, breast_setting
 from simcore.core.progress import silent
 from simcore.physics.attenuation import cross_sections, energy_transfer, recoil_share
 from simcore.physics.materials import material

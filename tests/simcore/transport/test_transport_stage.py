@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from bench.support.scatter_bodies import arc, breast, pmma_plates
+from bench.scatter.bodies import arc, breast, pmma_plates
 from simcore.core.artifacts import Phantom
 from simcore.core.errors import GeometryError, SimulationError, SpecError
 from simcore.core.tissues import Tissue

@@ -2,7 +2,7 @@
 
 import pytest
 
-from bench.support.tg195 import CASES, run_case
+from bench.physics_transport.tg195 import CASES, run_case
 
 RAYS = 250_000
 ERRORS = 3.0

@@ -31,8 +31,8 @@ from simcore import presets
 from simcore.core.store import Store
 from tests.golden.cases import CASES, brief
 
-ROOT = Path(__file__).parents[1]
-DRIVER = ROOT / "bench" / "support" / "same_driver.py"
+ROOT = Path(__file__).parents[2]
+DRIVER = Path(__file__).with_name("driver.py")
 Stages = dict[str, dict[str, Any]]
 
 
@@ -182,7 +182,3 @@ def hand_over_mesh(source: Path, target: Path) -> None:
         copy = target / path.relative_to(source)
         copy.parent.mkdir(parents=True, exist_ok=True)
         shutil.copyfile(path, copy)
-
-
-if __name__ == "__main__":
-    sys.exit(main())

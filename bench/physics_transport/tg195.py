@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from bench.support.scatter_bodies import FIRST_VOLUME, MIX, VOLUMES_OF_INTEREST, arc, tg195_setting
+from bench.scatter.bodies import FIRST_VOLUME, MIX, VOLUMES_OF_INTEREST, arc, tg195_setting
 from simcore.core.progress import silent
 from simcore.transport.monte_carlo import imbalance, simulate
 from simcore.transport.response import IDEAL, tabulated

@@ -9,15 +9,14 @@ from __future__ import annotations
 
 import argparse
 import json
-import sys
 from dataclasses import asdict, dataclass
 
 import numpy as np
 
-from bench._analog import simulate_analog
-from bench._scatter_bodies import arc, block_setting
-from bench._tg195 import CASES, run_case
-from bench.scatter import RESPONSE, SPECTRUM, breast_setting
+from bench.physics_transport.analog import simulate_analog
+from bench.physics_transport.tg195 import CASES, run_case
+from bench.scatter.bodies import arc, block_setting
+from bench.scatter.run import RESPONSE, SPECTRUM, breast_setting
 from simcore.core.progress import silent
 from simcore.physics.materials import material
 from simcore.transport.denoising import denoised
@@ -146,7 +145,3 @@ def main() -> int:
     failed = [row for row in rows if not row.holds]
     print(json.dumps({"checks": len(rows), "failed": len(failed), "rows": [asdict(row) for row in rows]}))
     return 1 if failed else 0
-
-
-if __name__ == "__main__":
-    sys.exit(main())

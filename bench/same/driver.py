@@ -1,6 +1,6 @@
 """What ``bench.same`` runs in each of the two revisions; uses only what no revision may change.
 
-python bench/support/same_driver.py STORE      (a specification a line in, the stages of its case a line out)
+python bench/same/driver.py STORE      (a specification a line in, the stages of its case a line out)
 """
 
 from __future__ import annotations

@@ -20,9 +20,9 @@ from typing import Any
 
 import numpy as np
 
-from bench._analog import simulate_analog
-from bench._scatter_bodies import arc, breast, pmma_plates
-from bench._tg195 import CASES
+from bench.physics_transport.analog import simulate_analog
+from bench.physics_transport.tg195 import CASES
+from bench.scatter.bodies import arc, breast, pmma_plates
 from simcore.core.geometry import AcquisitionGeometry
 from simcore.core.progress import silent
 from simcore.core.tissues import Tissue
@@ -130,7 +130,3 @@ def main() -> int:
         )
     )
     return 0
-
-
-if __name__ == "__main__":
-    sys.exit(main())

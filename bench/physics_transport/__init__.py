@@ -1,0 +1,1 @@
+"""The transport of photons against published cases."""

@@ -1,0 +1,1 @@
+"""Two revisions in turns, byte for byte."""
