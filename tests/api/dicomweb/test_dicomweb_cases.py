@@ -64,6 +64,7 @@ def test_a_case_that_has_expired(client, add_case, exported, served, is_problem)
 
 
 def test_the_store_does_not_answer(client, case, add_case, exported, served, monkeypatch):
+    client.get("/dicomweb/studies")  # the index knows the first case now
     late = add_case(exported(seed=10), "late")
 
     def refuse(*_):

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from pydantic import ValidationError
 
-from bench._tg195 import MO_MO_30
+from bench.physics_transport.tg195 import MO_MO_30
 from simcore.core.tissues import Tissue
 from simcore.physics.attenuation import attenuation
 from simcore.physics.basis import basis_of, nodes_of

@@ -15,9 +15,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from bench._anodes import anode_tables
+from bench.tables.anodes import anode_tables
 
-FOLDER = Path(__file__).parents[1] / "simcore" / "physics" / "data"
+FOLDER = Path(__file__).parents[2] / "simcore" / "physics" / "data"
 LIGHT = "H Be B C N O F Na Mg Al Si P S Cl Ar K Ca"
 HEAVY = "Ti Cr Mn Fe Ni Cu Zn Se Br Sr Mo Rh Ag Cd Sn I Cs Ba Gd W Au Pb Bi"
 ELEMENTS = f"{LIGHT} {HEAVY}".split()
@@ -36,10 +36,12 @@ def cross_sections(path: Path) -> None:
         edges = sorted(edge.energy * 1e-3 for edge in xraydb.xray_edges(element).values())
         edges = [edge for edge in edges if LOWEST_KEV + 0.01 < edge < HIGHEST_KEV - 0.01]
         apart = grid[[all(abs(energy - edge) > 3e-3 for edge in edges) for energy in grid]]
-        asked = np.concatenate([apart, *(_beside_the_step(element, edge) for edge in edges)])
+        sampled = np.concatenate([apart, *(_beside_the_step(element, edge) for edge in edges)])
         named = np.concatenate([apart, *([edge, edge] for edge in edges)])
-        order = np.argsort(asked)
-        rows.append(np.array([xraydb.mu_elam(element, asked[order] * 1e3, kind=k) for k in ("photo", "coh", "incoh")]))
+        order = np.argsort(sampled)
+        rows.append(
+            np.array([xraydb.mu_elam(element, sampled[order] * 1e3, kind=k) for k in ("photo", "coh", "incoh")])
+        )
         energies.append(named[order])
         starts.append(starts[-1] + len(named))
         masses.append(xraydb.atomic_mass(element))
@@ -126,7 +128,3 @@ def main() -> None:
         file, maker = MAKERS[name]
         maker(FOLDER / file)
         print(f"{file}: {(FOLDER / file).stat().st_size} bytes")
-
-
-if __name__ == "__main__":
-    main()
