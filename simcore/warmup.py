@@ -19,11 +19,12 @@ from pathlib import Path
 
 import numpy as np
 
-from simcore import children, dicom, fem, phantom, presets, preview, projection, reconstruction, warp
+from simcore import children, detection, dicom, fem, phantom, presets, preview, projection, reconstruction, warp
 from simcore.core.artifacts import Compression, Phantom, ProjectionStack, Volume
 from simcore.core.errors import SimulationError
 from simcore.core.grid import Grid
 from simcore.core.tissues import Tissue
+from simcore.detection.transfer import RationalTransfer
 from simcore.mesh.spec import LatticeMesh
 from simcore.mesh.structured import half_ellipsoid
 from simcore.phantom.spec import AnthropomorphicPhantom, CompartmentSpec, DuctSpec, TextureSpec
@@ -134,6 +135,16 @@ def _projection() -> None:
     projection.project(_compressed(), TINY.acquisition, TINY.physics)
 
 
+def _detection() -> None:
+    stack = _stack()
+    signal = np.ones(stack.data.shape, np.float32)
+    expected = detection.Expected(signal, signal, signal[0])
+    # Lag and correlated noise, then neither.
+    system = detection.detector_of("ge-pristina").with_(transfer=RationalTransfer(half_per_mm=3.0))
+    detection.detect(expected, system, stack.geometry, 0)
+    detection.detect(expected, detection.DetectionSpec(), stack.geometry, 0)
+
+
 def _reconstruction() -> None:
     reconstruction.reconstruct(_stack(), TINY.reconstruction, THICKNESS_MM)
 
@@ -173,6 +184,7 @@ PARTS: dict[str, Callable[[], None]] = {
     "files": _files,
     "reconstruction": _reconstruction,
     "mesh": _mesh,
+    "detection": _detection,
     "other phantoms": _other_phantoms,
     "other projections": _other_projections,
 }

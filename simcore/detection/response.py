@@ -27,6 +27,7 @@ from simcore.physics.tables import elements, k_shells
 FloatArray = NDArray[np.float64]
 Converter = CaesiumIodide | Selenium | Ideal
 DEPTHS = 32
+COSINES = 64
 
 
 class Response(NamedTuple):
@@ -44,6 +45,20 @@ class Response(NamedTuple):
     def swank(self) -> FloatArray:
         """signal^2 / (absorbed variance): the fluctuations of one absorbed photon, K fluorescence included."""
         return np.asarray(self.signal**2 / (self.absorbed * self.variance))
+
+
+class ResponseTable(NamedTuple):
+    """As a transport counts photons by energy and angle.
+
+    energies_keV: (n,), ascending. cosines: (m,), ascending. absorbed: (n, m), mean energy that stays over that of the
+    photon. squared: (n, m), mean square of the same; over ``swank`` it makes the variance of a pixel.
+    """
+
+    energies_keV: FloatArray
+    cosines: FloatArray
+    absorbed: FloatArray
+    squared: FloatArray
+    swank: float
 
 
 class KLine(NamedTuple):
@@ -73,6 +88,19 @@ def response(converter: Converter, energies_keV: ArrayLike, cosines: ArrayLike =
         mean = mean - leaves * line.energy
         square = square + leaves * ((energies - line.energy) ** 2 - energies**2)
     return Response(absorbed, absorbed * mean, absorbed * square / converter.swank)
+
+
+def response_table(converter: Converter, highest_keV: float) -> ResponseTable:
+    """The response from 1 keV in steps of 0.5 keV to the first one at or above ``highest_keV``, over 64 cosines.
+
+    The cover is in it: it is no plate of the transport as well.
+    """
+    energies = np.arange(2, 2 * np.ceil(2 * highest_keV) / 2 + 1) / 2
+    cosines = np.arange(1, COSINES + 1) / COSINES
+    answer = response(converter, energies[:, None], cosines)
+    swank = 1.0 if isinstance(converter, Ideal) else converter.swank
+    ratio = energies[:, None]
+    return ResponseTable(energies, cosines, answer.signal / ratio, swank * answer.variance / ratio**2, swank)
 
 
 def k_lines(layer: Material, energies: FloatArray) -> list[KLine]:

@@ -31,6 +31,11 @@ class Expected:
     object_height_mm: float = 45.0
     rays_per_pixel_edge: int = 1
 
+    def __post_init__(self) -> None:
+        for array in (self.signal, self.variance, self.flat, self.flat_variance):
+            if array is not None:
+                frozen(array)
+
     def flat_of(self, view: int) -> FloatArray:
         """(ny, nx)"""
         return self.flat if self.flat.ndim == 2 else self.flat[view]

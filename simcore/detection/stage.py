@@ -17,7 +17,7 @@ import scipy.fft
 from numpy.typing import NDArray
 
 from simcore.core import rng
-from simcore.core.artifacts import Report
+from simcore.core.artifacts import Report, frozen
 from simcore.core.geometry import AcquisitionGeometry
 from simcore.core.progress import Progress, silent
 from simcore.detection.exposure_range import Range, range_of
@@ -97,10 +97,11 @@ def _charge(view: int, expected: Expected, spec: DetectionSpec, blur: Filters, s
         times_normals(room, rng.key(seed, "detector", "quanta", noise.realisation, view))
         add_filtered(spectrum, scipy.fft.rfft2(room), blur.noise)
     ny, nx = expected.signal.shape[1:]
-    charge = scipy.fft.irfft2(spectrum, s=blur.shape, overwrite_x=True)[:ny, :nx]
+    # A copy without gaps: kernels run over it in vectors, and are compiled once.
+    charge = np.ascontiguousarray(scipy.fft.irfft2(spectrum, s=blur.shape, overwrite_x=True)[:ny, :nx])
     if isinstance(noise, GaussianNoise) and blur.noise is None:
         add_white(charge, expected.variance[view], rng.key(seed, "detector", "quanta", noise.realisation, view))
-    return np.asarray(charge)
+    return charge
 
 
 def _read(
@@ -145,7 +146,7 @@ def _calibrated(expected: Expected, spec: DetectionSpec, own: Pattern, blur: Fil
     flat = expected.flat_of(middle)
     variance = expected.flat_variance if expected.flat_variance.ndim == 2 else expected.flat_variance[middle]
     room = np.empty(blur.shape, np.float32)
-    pad(variance / (np.float32(frames) * flat**2), room)
+    pad(frozen(variance / (np.float32(frames) * flat**2)), room)
     times_normals(room, rng.key(spec.pattern.serial, "detector", "flat frames", frames))
     if blur.noise is not None:
         room = scipy.fft.irfft2(scipy.fft.rfft2(room) * blur.noise, s=blur.shape)
