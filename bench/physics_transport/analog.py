@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from simcore.core.geometry import AcquisitionGeometry
 from simcore.core.rng import stream
 from simcore.kernels import njit, prange
+from simcore.physics.spectrum import Emission
 from simcore.transport import draws
 from simcore.transport.cells import CARDS
 from simcore.transport.collisions import (
@@ -36,19 +37,19 @@ from simcore.transport.primary import groups_of, primary_maps
 from simcore.transport.response import Response
 from simcore.transport.scene import Scene, Setting, hand_at
 from simcore.transport.tables import LOWEST_KEV, Tables, tables_of
-from simcore.transport.views import Spectrum, beam_of, cell_sides, coarse_shape, field_of, screen_of, start_of
+from simcore.transport.views import beam_of, cell_sides, coarse_shape, field_of, screen_of, shares_of, start_of
 
 Floats = NDArray[np.float64]
 
 
 def simulate_analog(
-    setting: Setting, geometry: AcquisitionGeometry, spectrum: Spectrum, response: Response, *, photons: int,
+    setting: Setting, geometry: AcquisitionGeometry, spectrum: Emission, response: Response, *, photons: int,
     grid_mm: float, seed: int,
 ) -> Sums:  # fmt: skip
     """As simcore.transport.monte_carlo.simulate, with ``photons`` photons a view that fly towards the detector."""
     shape = coarse_shape(geometry, grid_mm)
     beam = beam_of(setting, spectrum)
-    shares = spectrum.shares[spectrum.shares > 0]
+    shares = shares_of(spectrum)[spectrum.photons > 0]
     beam = beam._replace(cumulative=np.cumsum(shares))
     tables = tables_of(setting.materials, float(beam.energy[-1]), (), 1.0)
     views = range(geometry.views)

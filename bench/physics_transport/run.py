@@ -14,15 +14,15 @@ from dataclasses import asdict, dataclass
 import numpy as np
 
 from bench.physics_transport.analog import simulate_analog
+from bench.scatter.bodies import arc, beam, block_setting
 from bench.physics_transport.tg195 import CASES, run_case
-from bench.scatter.bodies import arc, block_setting
 from bench.scatter.run import RESPONSE, SPECTRUM, breast_setting
 from simcore.core.progress import silent
 from simcore.physics.materials import material
 from simcore.transport.denoising import denoised
 from simcore.transport.monte_carlo import Sums, mean, simulate
 from simcore.transport.response import IDEAL, tabulated
-from simcore.transport.views import Spectrum, cell_sides
+from simcore.transport.views import cell_sides
 
 SLABS = ((20, 0.268), (80, 1.124))
 SALVAGNINI = "Salvagnini et al. 2012"
@@ -71,7 +71,7 @@ def slab_rows(rays: int) -> list[Row]:
     for thickness, reference in SLABS:
         setting = block_setting(material("pmma"), (180.0, 240.0, float(thickness)), bottom=20.0)
         sums = simulate(
-            setting, arc([0.0], support=20.0), Spectrum(np.array([20.0]), np.ones(1)), tabulated(IDEAL, None, 40.0),
+            setting, arc([0.0], support=20.0), beam([20.0]), tabulated(IDEAL, None, 40.0),
             rays=rays, grid_mm=10.0, capped=(), seed=1, purpose="slab", progress=silent,
         )  # fmt: skip
         middle = np.s_[11:15, 4:8]

@@ -11,11 +11,12 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from bench.scatter.bodies import FIRST_VOLUME, MIX, VOLUMES_OF_INTEREST, arc, tg195_setting
+from bench.scatter.bodies import FIRST_VOLUME, MIX, VOLUMES_OF_INTEREST, arc, beam, tg195_setting
 from simcore.core.progress import silent
+from simcore.physics.spectrum import Emission
 from simcore.transport.monte_carlo import imbalance, simulate
 from simcore.transport.response import IDEAL, tabulated
-from simcore.transport.views import Spectrum, field_of
+from simcore.transport.views import field_of
 
 MO_MO_30 = (
     1.551e-4, 4.691e-4, 1.199e-3, 2.405e-3, 4.263e-3, 6.797e-3, 9.761e-3, 1.314e-2, 1.666e-2, 2.013e-2, 2.349e-2,
@@ -39,11 +40,11 @@ class Case:
     volumes: tuple[float, ...]
 
     @property
-    def spectrum(self) -> Spectrum:
+    def spectrum(self) -> Emission:
         """The spectrum of the beam."""
         if self.beam == "16.8 keV":
-            return Spectrum(np.array([16.8]), np.ones(1))
-        return Spectrum(7.25 + 0.5 * np.arange(len(MO_MO_30)), np.array(MO_MO_30))
+            return beam([16.8])
+        return Emission(7.25 + 0.5 * np.arange(len(MO_MO_30)), np.array(MO_MO_30), False)
 
 
 CASES = (

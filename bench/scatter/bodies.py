@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -10,6 +12,7 @@ from simcore.core.geometry import AcquisitionGeometry, Detector
 from simcore.core.grid import Grid
 from simcore.core.tissues import Tissue
 from simcore.physics.materials import Material, material, mixture
+from simcore.physics.spectrum import Emission
 from simcore.transport.cells import CARDS, LABELS, Cells
 from simcore.transport.scene import Body, Plate, Setting, setting_of
 
@@ -29,6 +32,11 @@ def arc(
     return AcquisitionGeometry(
         -np.rad2deg(radians), sources, Detector(*field, 1.0), np.zeros(len(angles)), pivot, distance, support
     )
+
+
+def beam(energies_keV: Sequence[float], photons: Sequence[float] = (1.0,)) -> Emission:
+    """Photons of a few energies."""
+    return Emission(np.array(energies_keV), np.array(photons), False)
 
 
 def tg195_setting() -> Setting:

@@ -13,9 +13,9 @@ if TYPE_CHECKING:  # whoever reads a specification needs no numerics
     from simcore.core.geometry import AcquisitionGeometry
     from simcore.core.tissues import Tissue
     from simcore.physics.materials import Material
+    from simcore.physics.spectrum import Emission
     from simcore.transport.response import DetectorResponse, GridTransmission
     from simcore.transport.scene import Plate
-    from simcore.transport.views import Spectrum
 
 __all__ = ["BodySpec", "TransportSpec", "transport"]
 
@@ -25,7 +25,7 @@ def transport(
     geometry: AcquisitionGeometry,
     spec: TransportSpec,
     *,
-    spectrum: Spectrum,
+    spectrum: Emission,
     tissues: Mapping[Tissue, Material],
     plates: Sequence[Plate] = (),
     response: DetectorResponse | None = None,

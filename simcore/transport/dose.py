@@ -10,11 +10,12 @@ from numpy.typing import NDArray
 
 from simcore.core.geometry import AcquisitionGeometry
 from simcore.core.tissues import Tissue
-from simcore.physics.attenuation import attenuation, energy_transfer
+from simcore.physics.attenuation import attenuation
 from simcore.physics.materials import Material, material
+from simcore.physics.spectrum import Emission, kerma_per_photon
 from simcore.transport.monte_carlo import Sums, error, mean
 from simcore.transport.scene import Setting
-from simcore.transport.views import Spectrum
+from simcore.transport.views import shares_of
 
 FloatArray = NDArray[np.float64]
 MGY_PER_KEV_PER_G = 1.602176634e-10
@@ -75,13 +76,13 @@ def entrance_dose(setting: Setting, sums: Sums) -> Figure | None:
     return Figure(mean(energy), error(energy))
 
 
-def air_kerma(setting: Setting, geometry: AcquisitionGeometry, spectrum: Spectrum) -> FloatArray:
+def air_kerma(setting: Setting, geometry: AcquisitionGeometry, spectrum: Emission) -> FloatArray:
     """Incident air kerma of every view, mGy per photon and steradian (views,): at the height of the top of the breast,
     REFERENCE_X_MM from the chest wall on the middle line, behind the plates above, without any scatter."""
     air = material("air")
     point = np.array([REFERENCE_X_MM, 0.0, setting.cells.upper[2]])
-    energies, shares = spectrum.energies_keV, spectrum.shares
-    per_fluence = energies * energy_transfer(air, energies) / (air.density_g_cm3 * GRAM_PER_MM3) * MGY_PER_KEV_PER_G
+    energies, shares = spectrum.energies_keV, shares_of(spectrum)
+    per_fluence = kerma_per_photon(energies)
     kerma = np.empty(geometry.views)
     for view, source in enumerate(geometry.sources):
         way = source - point

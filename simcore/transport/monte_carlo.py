@@ -10,13 +10,14 @@ from numpy.typing import NDArray
 from simcore.core.geometry import AcquisitionGeometry
 from simcore.core.progress import Progress
 from simcore.core.rng import stream
+from simcore.physics.spectrum import Emission
 from simcore.transport.collisions import LEFT, SHARED, STARTED
 from simcore.transport.histories import Habits, run_histories
 from simcore.transport.primary import PrimaryMaps, groups_of, primary_maps
 from simcore.transport.response import Response
 from simcore.transport.scene import Setting
 from simcore.transport.tables import tables_of
-from simcore.transport.views import Spectrum, area_of, beam_of, cell_sides, coarse_shape, screen_of, start_of
+from simcore.transport.views import area_of, beam_of, cell_sides, coarse_shape, screen_of, start_of
 
 FloatArray = NDArray[np.float64]
 BLOCKS = 64
@@ -61,7 +62,7 @@ def error(blocks: FloatArray) -> FloatArray:
 def simulate(
     setting: Setting,
     geometry: AcquisitionGeometry,
-    spectrum: Spectrum,
+    spectrum: Emission,
     response: Response,
     *,
     rays: int,

@@ -10,12 +10,13 @@ from numpy.typing import NDArray
 
 from simcore.core.geometry import AcquisitionGeometry
 from simcore.kernels import prange
+from simcore.physics.spectrum import Emission
 from simcore.transport.collisions import Screen
 from simcore.transport.compiled import inner, outer
 from simcore.transport.histories import Beam, Start
 from simcore.transport.response import Response, worth
 from simcore.transport.scene import ANY, Layers, Scene, Setting, hand_at
-from simcore.transport.views import Spectrum
+from simcore.transport.views import shares_of
 
 FloatArray = NDArray[np.float64]
 RAYS_PER_EDGE = 2
@@ -48,9 +49,9 @@ class Groups(NamedTuple):
     hand: FloatArray
 
 
-def groups_of(spectrum: Spectrum, beam: Beam) -> Groups:
+def groups_of(spectrum: Emission, beam: Beam) -> Groups:
     """About GROUPS groups of equal numbers of photons, each at its mean energy."""
-    shares = spectrum.shares[spectrum.shares > 0]
+    shares = shares_of(spectrum)[spectrum.photons > 0]
     group = np.minimum(GROUPS - 1, (np.cumsum(shares) - shares / 2) * GROUPS).astype(np.int64)
     total = np.bincount(group, shares, GROUPS).astype(np.float64)
     energy = np.bincount(group, shares * beam.energy, GROUPS)

@@ -14,6 +14,7 @@ from simcore.core.geometry import AcquisitionGeometry
 from simcore.core.progress import Progress, part
 from simcore.core.tissues import Tissue
 from simcore.physics.materials import Material, material
+from simcore.physics.spectrum import Emission
 from simcore.transport.cells import LABELS, Cells, cells_of
 from simcore.transport.denoising import denoised
 from simcore.transport.dose import (
@@ -29,7 +30,7 @@ from simcore.transport.monte_carlo import Sums, error, imbalance, mean, simulate
 from simcore.transport.response import IDEAL, DetectorResponse, GridTransmission, Response, tabulated
 from simcore.transport.scene import Body, Plate, Setting, setting_of
 from simcore.transport.spec import TransportSpec
-from simcore.transport.views import Spectrum, cell_sides
+from simcore.transport.views import cell_sides
 
 FloatArray = NDArray[np.float64]
 PLATE_MARGIN_MM = 10.0
@@ -46,7 +47,7 @@ EQUIVALENT_MODEL = (
 
 
 def transport_views(
-    phantom: Phantom, geometry: AcquisitionGeometry, spec: TransportSpec, spectrum: Spectrum,
+    phantom: Phantom, geometry: AcquisitionGeometry, spec: TransportSpec, spectrum: Emission,
     tissues: Mapping[Tissue, Material], plates: Sequence[Plate], response: DetectorResponse,
     grid: GridTransmission | None, seed: int, progress: Progress,
 ) -> TransportResult:  # fmt: skip
@@ -129,7 +130,7 @@ def setting_in(
 
 
 def _simulated(
-    setting: Setting, geometry: AcquisitionGeometry, spectrum: Spectrum, response: Response, spec: TransportSpec,
+    setting: Setting, geometry: AcquisitionGeometry, spectrum: Emission, response: Response, spec: TransportSpec,
     rays: int, seed: int, purpose: str, progress: Progress,
 ) -> Sums:  # fmt: skip
     """The sums of all views; raises where their energies do not balance."""
@@ -213,7 +214,7 @@ def _energies(setting: Setting, sums: Sums) -> dict[str, Any]:
 
 def _doses(
     setting: Setting, sums: Sums, uniform_setting: Setting, uniform: Sums, glandularity: float,
-    geometry: AcquisitionGeometry, spectrum: Spectrum,
+    geometry: AcquisitionGeometry, spectrum: Emission,
 ) -> dict[str, Any]:  # fmt: skip
     """Doses, mGy per mGy of incident air kerma of the central view at the same number of photons in every view."""
     kerma = air_kerma(setting, geometry, spectrum)

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 from numpy.typing import NDArray
 
 from simcore.core.geometry import AcquisitionGeometry
 from simcore.physics.attenuation import cross_sections
+from simcore.physics.spectrum import Emission
 from simcore.transport.collisions import Screen, Vector
 from simcore.transport.histories import Beam, Start
 from simcore.transport.scene import Setting
@@ -23,34 +22,9 @@ DECAY = 0.4
 """The usual weight of photons falls with depth by exp(-this mu depth)."""
 
 
-@dataclass(frozen=True, eq=False)
-class Spectrum:
-    """Photons by energy, in any unit.
-
-    energies_keV: (n,), ascending. photons: (n,), not below 0, not all 0.
-    raises: ValueError otherwise.
-    """
-
-    energies_keV: FloatArray
-    photons: FloatArray
-
-    def __post_init__(self) -> None:
-        if self.energies_keV.shape != self.photons.shape or self.energies_keV.ndim != 1 or not self.photons.size:
-            raise ValueError(f"{self.energies_keV.shape} energies and {self.photons.shape} numbers of photons")
-        if not (np.all(self.photons >= 0) and self.photons.sum() > 0):
-            raise ValueError("numbers of photons must not be below 0, nor all 0")
-        if np.any(np.diff(self.energies_keV) <= 0):
-            raise ValueError("energies must ascend")
-
-    @property
-    def shares(self) -> FloatArray:
-        """Photons, summing to 1."""
-        return np.asarray(self.photons / self.photons.sum())
-
-    @property
-    def mean_keV(self) -> float:
-        """Mean energy of a photon."""
-        return float(self.shares @ self.energies_keV)
+def shares_of(spectrum: Emission) -> FloatArray:
+    """Share of each energy in the photons."""
+    return np.asarray(spectrum.photons / spectrum.photons.sum())
 
 
 def coarse_shape(geometry: AcquisitionGeometry, grid_mm: float) -> tuple[int, int]:
@@ -66,9 +40,9 @@ def cell_sides(geometry: AcquisitionGeometry, shape: tuple[int, int]) -> tuple[f
     return detector.ny * detector.pixel / shape[0], detector.nx * detector.pixel / shape[1]
 
 
-def beam_of(setting: Setting, spectrum: Spectrum) -> Beam:
+def beam_of(setting: Setting, spectrum: Emission) -> Beam:
     """The spectrum with its attenuation in the materials and the hands of a scene."""
-    energies, shares = spectrum.energies_keV, spectrum.shares
+    energies, shares = spectrum.energies_keV, shares_of(spectrum)
     used = shares > 0
     energies, shares = energies[used], shares[used]
     attenuation = np.zeros((len(energies), len(setting.materials), 2))

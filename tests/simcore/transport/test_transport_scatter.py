@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from bench.physics_transport.analog import simulate_analog
+from bench.scatter.bodies import arc, beam, block_setting, pure_cells
 from bench.physics_transport.run import blocks_of, slab_rows
-from bench.scatter.bodies import arc, block_setting, pure_cells
 from bench.scatter.run import RESPONSE, SPECTRUM, breast_setting
 from simcore.core.progress import silent
 from simcore.physics.attenuation import cross_sections, energy_transfer, recoil_share
@@ -15,9 +15,9 @@ from simcore.transport.denoising import denoised
 from simcore.transport.monte_carlo import error, imbalance, mean, simulate
 from simcore.transport.response import IDEAL, DetectorResponse, GridTransmission, tabulated
 from simcore.transport.scene import Plate, setting_of
-from simcore.transport.views import Spectrum, cell_sides
+from simcore.transport.views import cell_sides
 
-MONO = Spectrum(np.array([20.0]), np.ones(1))
+MONO = beam([20.0])
 WATER = material("water")
 
 

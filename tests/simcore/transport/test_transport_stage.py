@@ -3,15 +3,14 @@
 import numpy as np
 import pytest
 
-from bench.scatter.bodies import arc, breast, pmma_plates
+from bench.scatter.bodies import arc, beam, breast, pmma_plates
 from simcore.core.artifacts import Phantom
 from simcore.core.errors import GeometryError, SimulationError, SpecError
 from simcore.core.tissues import Tissue
 from simcore.physics.materials import tissue_sets
 from simcore.transport import TransportSpec, monte_carlo, transport
-from simcore.transport.views import Spectrum
 
-SPECTRUM = Spectrum(np.array([12.0, 18.0, 24.0]), np.array([0.2, 0.5, 0.3]))
+SPECTRUM = beam([12.0, 18.0, 24.0], [0.2, 0.5, 0.3])
 TISSUES = tissue_sets()["icru-hammerstein"]
 SPEC = TransportSpec(rays_per_view=4000, equivalent_breast_rays_per_view=2000)
 
