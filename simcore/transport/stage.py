@@ -95,18 +95,23 @@ def _check_place(phantom: Phantom, geometry: AcquisitionGeometry) -> None:
 
 
 def by_label(phantom: Phantom, tissues: Mapping[Tissue, Material]) -> list[Material | None]:
-    """The material of every label, LABELS of them; raises SpecError for a tissue of the phantom without one."""
-    present = np.bincount(phantom.labels.ravel(), minlength=LABELS) > 0
-    substances: list[Material | None] = [
-        tissues.get(Tissue(label)) if label in set(Tissue) else None for label in range(LABELS)
-    ]
-    substances[Tissue.AIR] = None
-    for label in np.flatnonzero(present)[np.flatnonzero(present) > 0]:
+    """The material of every label, LABELS of them; None where the phantom does not have it, so that it counts neither
+    for the tables nor for the majorant. Adipose tissue and gland are there for the equivalent breast.
+
+    raises: SpecError for a tissue of the phantom without one.
+    """
+    substances: list[Material | None] = [None] * LABELS
+    for label in np.flatnonzero(np.bincount(phantom.labels.ravel(), minlength=LABELS)).tolist():
+        if label == Tissue.AIR:
+            continue
+        name = Tissue(label).name.lower() if label in set(Tissue) else f"label {label}"
+        substances[label] = tissues.get(Tissue(label)) if label in set(Tissue) else None
         if substances[label] is None:
-            name = Tissue(label).name.lower() if label in set(Tissue) else f"label {label}"
             raise SpecError(
                 f"{name} is in the breast, but there is no composition of it; give one", code="no-composition"
             )
+    for tissue in (Tissue.ADIPOSE, Tissue.GLAND):
+        substances[tissue] = tissues.get(tissue)
     return substances
 
 

@@ -9,6 +9,7 @@ from simcore.core.errors import GeometryError, SimulationError, SpecError
 from simcore.core.tissues import Tissue
 from simcore.physics.materials import tissue_sets
 from simcore.transport import TransportSpec, monte_carlo, transport
+from simcore.transport.stage import by_label
 
 SPECTRUM = beam([12.0, 18.0, 24.0], [0.2, 0.5, 0.3])
 TISSUES = tissue_sets()["icru-hammerstein"]
@@ -93,3 +94,9 @@ def test_dose_of_a_breast_all_gland_is_that_of_its_equivalent(phantom):
     own, equivalent = dose["glandular"], dose["equivalent_breast_glandular"]
     assert own["mean"] == pytest.approx(equivalent["mean"], rel=0.03)
     assert dose["equivalent_breast_glandularity"] == 1.0
+
+
+def test_tissues_that_are_not_there_do_not_slow_flights(phantom):
+    """Calcifications among the materials, with none in the breast, made the majorant and the time five times as large."""
+    substances = by_label(phantom, TISSUES)
+    assert [Tissue(label) for label, one in enumerate(substances) if one] == [Tissue.ADIPOSE, Tissue.GLAND, Tissue.SKIN]
