@@ -14,8 +14,8 @@ from dataclasses import asdict, dataclass
 import numpy as np
 
 from bench.physics_transport.analog import simulate_analog
-from bench.scatter.bodies import arc, beam, block_setting
 from bench.physics_transport.tg195 import CASES, run_case
+from bench.scatter.bodies import arc, beam, block_setting
 from bench.scatter.run import RESPONSE, SPECTRUM, breast_setting
 from simcore.core.progress import silent
 from simcore.physics.materials import material

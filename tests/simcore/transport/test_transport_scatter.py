@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from bench.physics_transport.analog import simulate_analog
-from bench.scatter.bodies import arc, beam, block_setting, pure_cells
 from bench.physics_transport.run import blocks_of, slab_rows
+from bench.scatter.bodies import arc, beam, block_setting, pure_cells
 from bench.scatter.run import RESPONSE, SPECTRUM, breast_setting
 from simcore.core.progress import silent
 from simcore.physics.attenuation import cross_sections, energy_transfer, recoil_share

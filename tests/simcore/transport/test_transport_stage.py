@@ -97,6 +97,6 @@ def test_dose_of_a_breast_all_gland_is_that_of_its_equivalent(phantom):
 
 
 def test_tissues_that_are_not_there_do_not_slow_flights(phantom):
-    """Calcifications among the materials, with none in the breast, made the majorant and the time five times as large."""
+    """Calcifications among the materials, with none in the breast, made the time five times as long."""
     substances = by_label(phantom, TISSUES)
     assert [Tissue(label) for label, one in enumerate(substances) if one] == [Tissue.ADIPOSE, Tissue.GLAND, Tissue.SKIN]
