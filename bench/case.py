@@ -23,8 +23,8 @@ from typing import Any
 
 from bench.support.timing import Stolen
 from simcore import pipeline
-from simcore.core.store import Store
 from simcore.spec import SimulationSpec
+from simcore.store.store import Store
 
 
 def main() -> int:

@@ -124,7 +124,8 @@ def _ours(files: Path, port: int) -> tuple[float, float]:
 
 def _deliver(files: Path, port: int) -> None:
     """Delivers once and prints the seconds it took and the peak memory of this process, MB."""
-    from simcore.core.store import Store, file_digest
+    from simcore.store.hashing import file_digest
+    from simcore.store.store import Store
     from tomosim_contract.destination import Destination
     from worker.delivery.sender import Sender
     from worker.records import schema

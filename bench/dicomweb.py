@@ -28,7 +28,7 @@ from simcore import dicom
 from simcore.core.artifacts import Compression, Phantom, ProjectionStack, Volume
 from simcore.core.geometry import AcquisitionGeometry, Detector
 from simcore.core.grid import Grid
-from simcore.core.store import Store
+from simcore.store.store import Store
 from tests.support.ports import free_port
 from tests.support.servers import answers, end
 from tests.support.waiting import wait_for

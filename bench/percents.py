@@ -30,12 +30,12 @@ from bench.sweep import OUTLINES, VOXEL_MM, faults, with_gland
 from simcore import phantom as phantoms
 from simcore.core.artifacts import Phantom
 from simcore.core.errors import SimulationError
-from simcore.core.store import Store
 from simcore.fem import CompressionSpec, compress
 from simcore.mesh import build
 from simcore.mesh.spec import LatticeMesh
 from simcore.phantom.upload import registry
 from simcore.presets import CUPS
+from simcore.store.store import Store
 
 CASES = Path(__file__).parents[1] / "tests" / "fieldcases"
 ODD = ("spicule", "tunnel", "hole_through", "two_touching", "thin_breast", "muscle", "nipple_off", "aniso_04_04_2")

@@ -15,8 +15,8 @@ from pathlib import Path
 import pytest
 import sqlalchemy as sa
 
-from simcore.core.bucket import Location
-from simcore.core.store import Store
+from simcore.store.bucket import Location
+from simcore.store.store import Store
 from tests.support import object_storage
 from tests.support.ports import free_port
 from tests.support.postgres import Postgres, create_database

@@ -201,7 +201,7 @@ def _read_spec(name: str) -> SimulationSpec:
 
 def _simulate(args: argparse.Namespace) -> None:
     from simcore import estimate
-    from simcore.core.store import Store
+    from simcore.store.store import Store
     from tomosim.console import StageDisplay
 
     spec = _read_spec(args.spec)
@@ -329,9 +329,9 @@ def _analyse(args: argparse.Namespace) -> None:
 
 
 def _add_phantom(args: argparse.Namespace) -> None:
-    from simcore.core.store import Store
     from simcore.phantom.upload import registry, review
     from simcore.phantom.upload.reading import Reading
+    from simcore.store.store import Store
 
     fields: dict[str, Any] = {name: getattr(args, name) for name in ("compressed", "confirm_size", "confirm_tissues")}
     if args.tissue_map is not None:
@@ -360,8 +360,8 @@ def _tissue_map(text: str) -> Any:
 
 
 def _list_phantoms(args: argparse.Namespace) -> None:
-    from simcore.core.store import Store
     from simcore.phantom.upload import registry
+    from simcore.store.store import Store
 
     for upload in registry.uploads(Store(args.data / "store")):
         shape = " x ".join(map(str, upload.phantom["shape"]))

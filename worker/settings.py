@@ -13,9 +13,9 @@ from typing import Literal, Self
 from pydantic import Field, SecretStr, ValidationError, field_validator, model_validator
 from pydantic_settings import BaseSettings, SettingsConfigDict
 
-from simcore.core.bucket import Location
 from simcore.core.errors import SimulationError, StoreError
 from simcore.core.memory import physical_bytes
+from simcore.store.bucket import Location
 from tomosim_contract.names import SIMULATION_QUEUES
 
 ENV_PREFIX = "TOMOSIM_"

@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
-from simcore.core.bucket import Location
-from simcore.core.store import Store
+from functools import partial
+
+from simcore.store.bucket import Location
+from simcore.store.bucket_backend import BucketBackend
+from simcore.store.store import Store
 from worker.settings import Settings
 
 
@@ -11,15 +14,13 @@ def open_store(settings: Settings) -> Store:
     """raises: StoreError where the folder cannot be made or the URL is none"""
     if not settings.store_url:
         return Store(settings.store_folder, settings.min_free_bytes)
-    from simcore.core.object_store import ObjectStore
-
-    return ObjectStore(
-        settings.store_folder,
-        location(settings),
-        settings.min_free_bytes,
-        settings.store_cache_bytes,
-        settings.gc_grace_seconds / 2,
+    backend = partial(
+        BucketBackend,
+        location=location(settings),
+        cache_bytes=settings.store_cache_bytes,
+        touch_seconds=settings.gc_grace_seconds / 2,
     )
+    return Store(settings.store_folder, settings.min_free_bytes, backend)
 
 
 def location(settings: Settings) -> Location:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from api.http.deps import Services
 from api.http.errors import ApiError
 from api.simulations.artifacts import finished_manifest
-from simcore.core.store import FileRef
+from simcore.store.hashing import FileRef
 from tomosim_contract.deliveries import NewDelivery
 from worker.records.delivery_tables import Item, items_of
 

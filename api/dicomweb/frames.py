@@ -14,7 +14,7 @@ from pydicom.pixels import get_decoder
 from pydicom.uid import ExplicitVRLittleEndian
 
 from api.http.errors import ApiError
-from simcore.core.store import Store
+from simcore.store.store import Store
 from worker.dicom_index.files import open_stored, read_header
 from worker.dicom_index.index import Instance, Pixels
 

@@ -10,7 +10,8 @@ from typing import Any
 from pydicom.dataelem import DataElement
 from pydicom.dataset import Dataset
 
-from simcore.core.store import FileRef, Store
+from simcore.store.hashing import FileRef
+from simcore.store.store import Store
 from worker.dicom_index.files import open_stored, read_header
 from worker.dicom_index.index import Pixels
 

@@ -16,7 +16,8 @@ from PIL import Image
 from pydicom.dataset import Dataset
 
 from api.dicomweb.query import bad_query
-from simcore.core.store import FileRef, Store
+from simcore.store.hashing import FileRef
+from simcore.store.store import Store
 from worker.dicom_index.files import open_stored, read_header
 
 MAX_EDGE = 8192

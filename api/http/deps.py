@@ -12,7 +12,7 @@ from fastapi import Depends, Request
 
 from api.http.errors import ApiError
 from api.http.rates import Rates
-from simcore.core.store import Store
+from simcore.store.store import Store
 from worker.messages import CeleryMessenger, Messenger
 from worker.records import schema
 from worker.records.database import connect

@@ -13,7 +13,8 @@ from fastapi.responses import StreamingResponse
 
 from api.http.conditions import none_match, require_match
 from api.http.errors import ApiError
-from simcore.core.store import FileRef, Store
+from simcore.store.hashing import FileRef
+from simcore.store.store import Store
 
 CHUNK_BYTES = 1 << 20
 

@@ -19,7 +19,8 @@ from api.http.auth import Read
 from api.http.deps import Identifier, Served, Services
 from api.http.errors import ApiError
 from api.simulations.resources import simulation_path
-from simcore.core.store import FileRef, Store
+from simcore.store.hashing import FileRef
+from simcore.store.store import Store
 from tomosim_contract.simulations import ArtifactList, ArtifactResource
 
 Json = dict[str, Any]

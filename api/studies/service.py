@@ -11,8 +11,8 @@ from api.http.deps import Services
 from api.http.errors import ApiError, shown
 from simcore import estimate, phantom
 from simcore.core.errors import ResourceLimitError, SpecError
-from simcore.core.store import Store
 from simcore.spec import SimulationSpec
+from simcore.store.store import Store
 from simcore.study import StudySpec
 from simcore.study.expansion import Case, expand
 from tomosim_contract.studies import StudyEstimate

@@ -24,12 +24,13 @@ from bench.figures import views as drawn
 from bench.figures.page import page
 from bench.support.panels import grey, resized, save_panels
 from simcore import pipeline, presets, projection
-from simcore.core import files
 from simcore.core.artifacts import Phantom
-from simcore.core.store import FileRef, Store
 from simcore.presets import PAPER_ACQUISITIONS, paper_case
 from simcore.projection.spec import AcquisitionSpec, PhysicsSpec
 from simcore.reconstruction.spec import FilteredBackprojection
+from simcore.store import codecs
+from simcore.store.hashing import FileRef
+from simcore.store.store import Store
 
 DOCS = Path(__file__).parents[2] / "docs"
 IMAGES = DOCS / "images"
@@ -59,7 +60,7 @@ class Breast:
             presets.get(preset), store, lambda stage, fraction, message, cached=False: tell(preset, stage, fraction)
         ).manifest
         outputs = next(s["outputs"] for s in manifest["stages"] if s["name"] == "warp")
-        warped = files.load_phantom(lambda name: store.path(FileRef(**outputs[name])))
+        warped = codecs.load_phantom(lambda name: store.path(FileRef(**outputs[name])))
         return cls(warped, manifest["results"]["thickness_mm"])
 
     def slice(self, acquisition: AcquisitionSpec) -> Image:

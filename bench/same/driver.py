@@ -16,8 +16,12 @@ def main() -> int:
     os.dup2(2, 1)  # whatever else is printed is no answer
     sys.path.pop(0)  # the folder of this file, which is that of another revision
     from simcore import pipeline
-    from simcore.core.store import Store
     from simcore.spec import SimulationSpec
+
+    try:
+        from simcore.store.store import Store
+    except ModuleNotFoundError:  # a revision whose store was a file of simcore.core
+        from simcore.core.store import Store  # type: ignore[import-not-found, no-redef]
 
     store = Store(sys.argv[1], min_free_bytes=0)
     for line in sys.stdin:

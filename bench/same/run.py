@@ -28,7 +28,7 @@ from typing import Any, Self, cast
 
 from bench.support.timing import Stolen
 from simcore import presets
-from simcore.core.store import Store
+from simcore.store.store import Store
 from tests.golden.cases import CASES, brief
 
 ROOT = Path(__file__).parents[2]

@@ -15,8 +15,10 @@ import sqlalchemy as sa
 
 from bench.soak.service import marked
 from simcore.core.errors import SimulationError
-from simcore.core.store import FileRef, StageRecord, Store, file_digest
 from simcore.spec import SimulationSpec
+from simcore.store.hashing import FileRef, file_digest
+from simcore.store.records import parsed
+from simcore.store.store import Store
 from tomosim_contract.names import EVENT_STATE, FINAL_STATES
 from worker.records.database import connect, events, simulations
 from worker.settings import Settings
@@ -130,10 +132,9 @@ def _store(store: Store, manifests: list[dict[str, Any]]) -> Iterator[Finding]:
             yield Finding("torn", f"object {path.name} holds something else")
     refs: dict[str, FileRef] = {}
     for path in (store.root / "stages").rglob("*.json"):
-        try:
-            record = StageRecord.from_json(path.read_bytes())
-        except (ValueError, TypeError, KeyError) as error:
-            yield Finding("torn", f"record {path.name}: {error!r}")
+        record = parsed(path.read_bytes())
+        if record is None:
+            yield Finding("torn", f"record {path.name} cannot be read")
             continue
         refs |= {f"{path.name} {name}": ref for name, ref in record.outputs.items()}
     for number, manifest in enumerate(manifests):

@@ -1,1 +1,1 @@
-"""What every stage shares: artifacts, grid, geometry, tissues, errors, random streams, the store."""
+"""What every stage shares: artifacts, grid, geometry, tissues, errors, random streams."""

@@ -14,7 +14,7 @@ from simcore.phantom.upload.spec import UploadedPhantom
 
 if TYPE_CHECKING:  # whoever reads a specification needs no numerics
     from simcore.core.artifacts import Compression, Phantom
-    from simcore.core.store import Store
+    from simcore.store.store import Store
 
 __all__ = ["build", "generate", "load", "plates", "require", "with_outline"]
 

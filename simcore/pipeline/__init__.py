@@ -11,12 +11,13 @@ from __future__ import annotations
 import time
 
 from simcore import available, phantom, unused
-from simcore.core.store import Commits, Store
 from simcore.pipeline.graph import Case, CaseProgress, silent
 from simcore.pipeline.result import CaseResult, result_of
 from simcore.pipeline.scheduler import Scheduler
 from simcore.pipeline.table import TABLE
 from simcore.spec import SimulationSpec
+from simcore.store.records import Commits
+from simcore.store.store import Store
 
 __all__ = ["STAGES", "TABLE", "VERSIONS", "CaseResult", "run"]
 

@@ -7,8 +7,8 @@ from typing import Any
 
 from simcore import __version__, dicom, fem, mesh, phantom, projection, reconstruction, warp
 from simcore.core.artifacts import Compression, Phantom, ProjectionStack, Report, TetMesh, Volume
+from simcore.core.canonical import digest
 from simcore.core.progress import Progress
-from simcore.core.store import digest
 from simcore.dicom.spec import ExportSpec
 from simcore.pipeline.graph import Case, Work
 

@@ -9,12 +9,14 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any, Generic, Protocol, TypeVar
 
-from simcore.core import files
 from simcore.core.artifacts import Report
 from simcore.core.progress import Progress
 from simcore.core.progress import silent as no_progress
-from simcore.core.store import Begun, Hashing, StageRecord, Store
 from simcore.spec import SimulationSpec
+from simcore.store import codecs
+from simcore.store.hashing import Hashing
+from simcore.store.records import Begun, StageRecord
+from simcore.store.store import Store
 
 T = TypeVar("T")
 
@@ -50,12 +52,12 @@ class Codec(Generic[T]):
     """How an artifact is saved and loaded. load: None where too little is kept; the artifact is computed again then."""
 
     save: Callable[[Path, T], None]
-    load: Callable[[files.Locate], T] | None
+    load: Callable[[codecs.Locate], T] | None
 
 
 @dataclass(frozen=True)
 class Work:
-    """What a stage that writes files itself works with; as the arguments of ``simcore.core.records.Compute``."""
+    """What a stage that writes files itself works with; as the arguments of ``simcore.store.records.Compute``."""
 
     folder: Path
     hashing: Hashing

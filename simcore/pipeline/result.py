@@ -14,8 +14,9 @@ from typing import Any
 from simcore import __version__
 from simcore.cautions import cautions
 from simcore.core.artifacts import Report
-from simcore.core.store import FileRef, Store
 from simcore.pipeline.graph import Case, Stage, StageResult
+from simcore.store.hashing import FileRef
+from simcore.store.store import Store
 
 LIBRARIES = ("numpy", "scipy", "numba", "pydicom", "pytetwild", "scikit-image", "zstandard")
 

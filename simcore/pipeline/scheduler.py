@@ -11,8 +11,9 @@ from typing import Any
 
 from simcore.core import memory
 from simcore.core.artifacts import Report
-from simcore.core.store import Commits, Hashing, stage_key
 from simcore.pipeline.graph import Case, CaseProgress, Stage, StageResult, Work
+from simcore.store.hashing import Hashing
+from simcore.store.records import Commits, stage_key
 
 
 class Scheduler:

@@ -99,7 +99,7 @@ class TestRefusals:
 
 
 def test_full_disk(client, served, is_problem):
-    object.__setattr__(served.store, "min_free_bytes", 1 << 60)
+    served.store.workspaces.min_free_bytes = 1 << 60
     is_problem(client.post("/v1/simulations", json={}), 507, "storage-full")
     assert client.get("/v1/simulations").json()["items"] == []
 

@@ -130,7 +130,7 @@ class TestRefusals:
         assert (problem["cases"], problem["allowed"]) == (2002, 2000)
 
     def test_a_full_disk(self, client, served, is_problem):
-        object.__setattr__(served.store, "min_free_bytes", 1 << 60)
+        served.store.workspaces.min_free_bytes = 1 << 60
         is_problem(client.post("/v1/studies", json=PAIRS), 507, "storage-full")
         assert client.get("/v1/studies").json()["items"] == []
 

@@ -39,12 +39,13 @@ def test_no_revision() -> None:
     assert (ended.returncode, ended.stderr) == (1, "no-such-revision is no revision of this repository\n")
 
 
-def test_the_driver_runs_the_program_of_the_folder_it_is_in(tmp_path: Any) -> None:
+@pytest.mark.parametrize("room", ["store", "core"])
+def test_the_driver_runs_the_program_of_the_folder_it_is_in(tmp_path: Any, room: str) -> None:
     """Another revision's, not the one that it lies in."""
-    (tmp_path / "tree" / "simcore" / "core").mkdir(parents=True)
-    for name in ("__init__", "core/__init__"):
+    (tmp_path / "tree" / "simcore" / room).mkdir(parents=True)
+    for name in ("__init__", f"{room}/__init__"):
         (tmp_path / "tree" / "simcore" / f"{name}.py").touch()
-    (tmp_path / "tree" / "simcore" / "core" / "store.py").write_text("Store = lambda root, min_free_bytes: root")
+    (tmp_path / "tree" / "simcore" / room / "store.py").write_text("Store = lambda root, min_free_bytes: root")
     (tmp_path / "tree" / "simcore" / "spec.py").write_text(
         "class SimulationSpec:\n    from_dict = staticmethod(lambda d: type('Spec', (), {'mesh': type('M', (), d)}))"
     )

@@ -13,7 +13,8 @@ from bench.soak import check as checks
 from bench.soak.check import Finding, check, left_running
 from bench.soak.run import must_fail, soak, specification
 from bench.soak.service import MARKER
-from simcore.core.store import Hashing, Store
+from simcore.store.hashing import Hashing
+from simcore.store.store import Store
 from worker.records import schema
 from worker.records.database import connect
 from worker.records.jobs import Jobs

@@ -10,7 +10,7 @@ HEAVY = ("numba", "pytetwild", "skimage", "llvmlite")
 
 @pytest.mark.parametrize(
     "module",
-    ["simcore.spec", "simcore.presets", "simcore.estimate", "simcore.pipeline", "simcore.core.store", "tomosim.cli"],
+    ["simcore.spec", "simcore.presets", "simcore.estimate", "simcore.pipeline", "simcore.store.store", "tomosim.cli"],
 )
 def test_no_heavy_import(module: str):
     code = f"import sys, {module}; print(*(m for m in {HEAVY!r} if m in sys.modules))"

@@ -12,11 +12,11 @@ from scipy import ndimage
 
 from simcore import fem, mesh, phantom, warp
 from simcore.core.artifacts import Phantom, TetMesh
-from simcore.core.store import Store
 from simcore.core.tissues import Tissue
 from simcore.fem.spec import CompressionSpec
 from simcore.mesh.spec import LatticeMesh
 from simcore.phantom.upload import registry
+from simcore.store.store import Store
 
 HERE = Path(__file__).parent
 

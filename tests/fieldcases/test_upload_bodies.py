@@ -13,12 +13,12 @@ import pytest
 
 from simcore import estimate, pipeline
 from simcore.core.errors import MeshError, SolverError, SpecError
-from simcore.core.store import Store
 from simcore.mesh.spec import LatticeMesh
 from simcore.phantom.upload import registry
 from simcore.phantom.upload.reading import Reading
 from simcore.presets import get
 from simcore.projection.spec import DetectorSpec
+from simcore.store.store import Store
 
 SCRIPTS = Path(__file__).with_name("uploads")
 

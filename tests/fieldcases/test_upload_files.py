@@ -19,9 +19,9 @@ import pytest
 
 from simcore import phantom
 from simcore.core.errors import SpecError
-from simcore.core.store import Store
 from simcore.phantom.upload import registry
 from simcore.phantom.upload.reading import Reading
+from simcore.store.store import Store
 
 SCRIPTS = Path(__file__).with_name("uploads")
 FOLDERS = ("odd", "r10", "r14", "r17", "r19")

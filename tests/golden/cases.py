@@ -10,7 +10,6 @@ from numpy.typing import NDArray
 
 from simcore import presets
 from simcore.core.spec_base import Spec
-from simcore.core.store import Store
 from simcore.core.tissues import Tissue
 from simcore.dicom.spec import ExportSpec
 from simcore.fem.laws.by_tissue import ByTissue
@@ -36,6 +35,7 @@ from simcore.reconstruction.spec import (
     Sirt,
 )
 from simcore.spec import SimulationSpec
+from simcore.store.store import Store
 
 TINY = presets.get("tiny")
 PLAIN = TINY.with_(mesh=LatticeMesh(edge_length_mm=16.0))

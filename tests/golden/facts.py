@@ -23,10 +23,11 @@ from PIL import Image
 from pydicom.dataset import Dataset
 
 from simcore import pipeline
-from simcore.core import files
 from simcore.core.artifacts import TetMesh
-from simcore.core.store import FileRef, canonical
+from simcore.core.canonical import canonical
 from simcore.core.tissues import Tissue
+from simcore.store import codecs
+from simcore.store.hashing import FileRef
 
 BLOCKS = 5
 """Into how many blocks an axis is parted."""
@@ -84,7 +85,7 @@ def facts_of(case: pipeline.CaseResult) -> dict[str, Facts]:
     return facts
 
 
-def _locate(case: pipeline.CaseResult, stage: dict[str, Any]) -> files.Locate:
+def _locate(case: pipeline.CaseResult, stage: dict[str, Any]) -> codecs.Locate:
     return lambda name: case.store.path(FileRef(**stage["outputs"][name]))
 
 
@@ -111,14 +112,14 @@ def _leaves(value: Any, name: str = "") -> Iterator[tuple[str, Any]]:
 
 
 def _phantom(case: pipeline.CaseResult, stage: dict[str, Any], facts: Facts) -> None:
-    phantom = files.load_phantom(_locate(case, stage))
+    phantom = codecs.load_phantom(_locate(case, stage))
     facts.exact["labels"] = digest(phantom.labels)
     facts.exact["grid"] = hashlib.sha256(canonical(phantom.grid.to_dict())).hexdigest()
     facts.exact["lesions"] = str([t.get("kind") for t in phantom.truth])
 
 
 def _warp(case: pipeline.CaseResult, stage: dict[str, Any], facts: Facts) -> None:
-    labels = files.load_phantom(_locate(case, stage)).labels
+    labels = codecs.load_phantom(_locate(case, stage)).labels
     for tissue in Tissue:
         if np.any(labels == tissue):
             facts.keep(f"labels: {tissue.name.lower()}", labels == tissue, 0.005)
@@ -145,11 +146,11 @@ class Order:
 
 def _mesh_of(case: pipeline.CaseResult) -> TetMesh | None:
     stages = {s["name"]: s for s in case.manifest["stages"]}
-    return files.load_mesh(_locate(case, stages["mesh"])) if "mesh" in stages else None
+    return codecs.load_mesh(_locate(case, stages["mesh"])) if "mesh" in stages else None
 
 
 def _mesh(case: pipeline.CaseResult, stage: dict[str, Any], facts: Facts) -> None:
-    mesh = files.load_mesh(_locate(case, stage))
+    mesh = codecs.load_mesh(_locate(case, stage))
     order = Order(mesh)
     facts.exact["nodes"] = digest(mesh.nodes[order.nodes])
     for name in ("tets", "wall", "skin"):
@@ -157,7 +158,7 @@ def _mesh(case: pipeline.CaseResult, stage: dict[str, Any], facts: Facts) -> Non
 
 
 def _fem(case: pipeline.CaseResult, stage: dict[str, Any], facts: Facts) -> None:
-    compression = files.load_compression(_locate(case, stage))
+    compression = codecs.load_compression(_locate(case, stage))
     mesh = _mesh_of(case)
     displacement = compression.displacement
     facts.exact["outcome"] = compression.outcome
@@ -166,7 +167,7 @@ def _fem(case: pipeline.CaseResult, stage: dict[str, Any], facts: Facts) -> None
 
 
 def _projection(case: pipeline.CaseResult, stage: dict[str, Any], facts: Facts) -> None:
-    stack = files.load_stack(_locate(case, stage))
+    stack = codecs.load_stack(_locate(case, stage))
     facts.keep("pixels", stack.data, 3e-4 * stack.open_field)
     geometry = stack.geometry.to_dict()
     facts.exact["geometry: names"] = str(sorted(geometry))

@@ -13,7 +13,7 @@ import sys
 import tempfile
 
 from simcore import mesh, phantom
-from simcore.core.store import Store
+from simcore.store.store import Store
 from tests.golden import references
 from tests.golden.cases import CASES, TINY
 from tests.golden.references import Reference

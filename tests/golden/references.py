@@ -15,9 +15,10 @@ import numpy as np
 
 from simcore import mesh, pipeline
 from simcore.core.artifacts import Phantom, TetMesh
+from simcore.core.canonical import canonical
 from simcore.core.progress import Progress
-from simcore.core.store import Store, canonical
 from simcore.mesh.spec import MeshSpec
+from simcore.store.store import Store
 from tests.golden.cases import CASES, brief
 from tests.golden.facts import Facts, facts_of
 

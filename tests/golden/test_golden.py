@@ -9,9 +9,9 @@ from pydantic import BaseModel
 
 from simcore import pipeline
 from simcore.core.spec_base import Spec
-from simcore.core.store import Store
 from simcore.dicom.identity import Identifiers
 from simcore.spec import SimulationSpec
+from simcore.store.store import Store
 from tests.golden import record, references
 from tests.golden.cases import CASES, half_ellipsoid
 from tests.golden.facts import block_means, digest

@@ -7,8 +7,8 @@ import pytest
 
 from simcore import estimate, pipeline, presets
 from simcore.core.errors import SpecError
-from simcore.core.store import Store
 from simcore.pipeline import result
+from simcore.store.store import Store
 
 ASKS = {
     "jpeg_ls": ({"mesh": {"kind": "lattice"}, "export": {"encoding": "jpeg-ls"}}, "export.encoding", "'rle' or 'none'"),

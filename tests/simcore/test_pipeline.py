@@ -13,9 +13,7 @@ import numpy as np
 import pytest
 
 from simcore import dicom, fem, mesh, pipeline, presets, preview, reconstruction
-from simcore.core import files
 from simcore.core.errors import SimulationError
-from simcore.core.store import FileRef, Store
 from simcore.core.tissues import Tissue
 from simcore.dicom import check
 from simcore.fem.laws.by_tissue import ByTissue
@@ -23,6 +21,9 @@ from simcore.fem.laws.published import Published
 from simcore.mesh.spec import LatticeMesh
 from simcore.phantom.lesions import Mass
 from simcore.reconstruction.spec import Sart
+from simcore.store import codecs
+from simcore.store.hashing import FileRef
+from simcore.store.store import Store
 
 SPEC = presets.get("tiny")
 KEPT = Sart(iterations=1)
@@ -131,7 +132,7 @@ def test_another_volume_is_another_outline(first):
 
 def labels_of(result, stage):
     refs = next(s["outputs"] for s in result.manifest["stages"] if s["name"] == stage)
-    return files.load_phantom(lambda name: result.store.path(FileRef(**refs[name]))).labels
+    return codecs.load_phantom(lambda name: result.store.path(FileRef(**refs[name]))).labels
 
 
 def test_a_pair_with_and_without_a_lesion_shares_its_anatomy(first):
@@ -250,7 +251,7 @@ BUSY = """
 import sys, threading
 import numba, numpy as np
 from simcore import pipeline
-from simcore.core.store import Store
+from simcore.store.store import Store
 from simcore.spec import SimulationSpec
 
 @numba.njit(parallel=True)

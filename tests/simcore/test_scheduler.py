@@ -12,11 +12,12 @@ import pytest
 
 from simcore import estimate, presets
 from simcore.core.errors import SimulationError
-from simcore.core.store import Commits, Store
 from simcore.pipeline.graph import Case, Codec, Needs, Source, Stage
 from simcore.pipeline.result import result_of
 from simcore.pipeline.scheduler import Scheduler
 from simcore.pipeline.table import TABLE
+from simcore.store.records import Commits
+from simcore.store.store import Store
 
 SPEC = presets.get("tiny")
 WAIT_SECONDS = 20.0

@@ -10,13 +10,13 @@ import pytest
 
 from simcore import estimate, pipeline, presets, unused
 from simcore.core.errors import SpecError
-from simcore.core.store import Store
 from simcore.fem.spec import CompressionSpec
 from simcore.mesh.spec import LatticeMesh
 from simcore.phantom.upload import registry
 from simcore.phantom.upload.reading import Reading
 from simcore.phantom.upload.spec import UploadedPhantom
 from simcore.spec import SimulationSpec
+from simcore.store.store import Store
 from tests.support import plates
 
 UPLOADED = UploadedPhantom(

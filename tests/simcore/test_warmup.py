@@ -14,7 +14,7 @@ COUNT = """
 import sys
 from numba.core import event
 from simcore import pipeline, presets
-from simcore.core.store import Store
+from simcore.store.store import Store
 
 class Compiled(event.Listener):
     def on_start(self, happening):

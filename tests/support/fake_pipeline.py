@@ -22,7 +22,8 @@ from pathlib import Path
 from typing import Any
 
 from simcore.core.errors import SolverError
-from simcore.core.store import FileRef, Store
+from simcore.store.hashing import FileRef
+from simcore.store.store import Store
 
 STAGES = ("dicom", "preview")
 

@@ -9,7 +9,7 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
-from simcore.core.store import Store
+from simcore.store.store import Store
 
 STAGES = ("phantom", "mesh", "fem", "projection")
 SHARED = STAGES[:3]

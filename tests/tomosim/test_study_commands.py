@@ -12,8 +12,8 @@ import pytest
 
 from api.app import create_app
 from simcore import estimate
-from simcore.core.store import FileRef
 from simcore.spec import SimulationSpec
+from simcore.store.hashing import FileRef
 from simcore.study import StudySpec
 from simcore.study.expansion import expand
 from tests.support.brokers import SilentBroker

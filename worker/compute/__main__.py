@@ -24,8 +24,8 @@ from collections.abc import Callable
 from typing import IO, Any
 
 from simcore.core.errors import SimulationError
-from simcore.core.store import Store
 from simcore.spec import SimulationSpec
+from simcore.store.store import Store
 from tomosim_contract.names import internal_failure
 from worker import logs
 from worker.compute.memory import out_of_memory

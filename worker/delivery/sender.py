@@ -10,7 +10,7 @@ from collections.abc import Callable
 
 from sqlalchemy.exc import SQLAlchemyError
 
-from simcore.core.store import Store
+from simcore.store.store import Store
 from tomosim_contract.names import failure, internal_failure
 from worker.compute.watch import Watch, write_end
 from worker.delivery.commitment import Reports

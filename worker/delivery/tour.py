@@ -11,7 +11,8 @@ from functools import partial
 from pathlib import Path
 
 from simcore.core.errors import SimulationError, StoreError
-from simcore.core.store import FileRef, Store
+from simcore.store.hashing import FileRef
+from simcore.store.store import Store
 from tomosim_contract.destination import Destination
 from tomosim_contract.names import failure, internal_failure
 from worker.delivery import association, commitment, outcomes

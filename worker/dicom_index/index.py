@@ -14,7 +14,7 @@ from typing import Any
 import sqlalchemy as sa
 from sqlalchemy.exc import IntegrityError
 
-from simcore.core.store import FileRef
+from simcore.store.hashing import FileRef
 from worker.records.database import Repository, reading, simulations
 from worker.records.dicom import KEYS, TABLES, Level, indexed, instances, series, studies
 from worker.records.retention import ExpiredError, unexpired

@@ -11,7 +11,8 @@ from pydicom.datadict import tag_for_keyword
 from pydicom.dataset import Dataset
 
 from simcore.core.errors import StoreError
-from simcore.core.store import FileRef, Store
+from simcore.store.hashing import FileRef
+from simcore.store.store import Store
 from worker.dicom_index.files import open_stored, read_header
 from worker.dicom_index.index import LEVELS, DicomIndex, Entry, Json
 from worker.records.dicom import KEYS, TABLES, Level

@@ -15,8 +15,8 @@ from typing import Any
 
 import sqlalchemy as sa
 
-from simcore.core.store import Store
 from simcore.phantom.upload import registry
+from simcore.store.store import Store
 from tomosim_contract.names import FINAL_STATES
 from worker.records.database import reading, simulations
 from worker.records.delivery_tables import deliveries, instances

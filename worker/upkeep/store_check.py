@@ -5,8 +5,8 @@ from __future__ import annotations
 import contextlib
 import uuid
 
-from simcore.core.bucket import Bucket
 from simcore.core.errors import StoreError
+from simcore.store.bucket import Bucket
 from worker.settings import Settings
 from worker.storage import location, open_store
 

@@ -16,8 +16,8 @@ from typing import IO, Any
 
 from pydantic import ValidationError
 
+from simcore.core.canonical import canonical
 from simcore.core.errors import SpecError
-from simcore.core.store import FileRef, Store, canonical
 from simcore.core.tissues import Tissue
 from simcore.phantom.upload import paddle, segments, tissue_maps, wall
 from simcore.phantom.upload.anatomy import Anatomy
@@ -29,6 +29,8 @@ from simcore.phantom.upload.paddle import not_compressed, refused
 from simcore.phantom.upload.reading import Reading
 from simcore.phantom.upload.review import review
 from simcore.phantom.upload.spec import UploadedPhantom
+from simcore.store.hashing import FileRef
+from simcore.store.store import Store
 
 LEAST_ML, MOST_ML = 20.0, 5000.0
 """Volumes of breasts; others are more likely a matter of units."""

@@ -11,7 +11,7 @@ from fastapi.testclient import TestClient
 
 from api.app import create_app
 from api.http.deps import Services
-from simcore.core.store import FileRef
+from simcore.store.hashing import FileRef
 from tests.support import dicom_case
 from tests.support.brokers import SilentBroker
 from tests.support.servers import served as served_app

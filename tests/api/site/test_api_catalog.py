@@ -72,7 +72,7 @@ def test_readyz(client, served, broker, is_problem):
     problem = is_problem(client.get("/readyz"), 503, "not-ready")
     assert problem["checks"]["broker"] == "connection refused"
     broker.down = False
-    object.__setattr__(served.store, "min_free_bytes", 1 << 60)
+    served.store.workspaces.min_free_bytes = 1 << 60
     assert "GB free" in is_problem(client.get("/readyz"), 503, "not-ready")["checks"]["storage"]
 
 

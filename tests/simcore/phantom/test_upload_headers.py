@@ -16,7 +16,6 @@ import pytest
 
 from simcore import estimate, phantom
 from simcore.core.errors import ResourceLimitError, SpecError
-from simcore.core.store import Store
 from simcore.phantom.upload import registry
 from simcore.phantom.upload.formats import decoding
 from simcore.phantom.upload.formats.decoding import blocks, read_header
@@ -26,6 +25,7 @@ from simcore.phantom.upload.reading import Reading
 from simcore.phantom.upload.spec import UploadedPhantom
 from simcore.phantom.upload.values import labels_of
 from simcore.presets import get
+from simcore.store.store import Store
 from tests.support import upload_files as files
 
 RANDOM = np.random.default_rng(0).integers(0, 127, (5, 6, 7)).astype("u1")

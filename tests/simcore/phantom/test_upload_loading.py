@@ -15,7 +15,6 @@ import pytest
 from simcore import estimate, phantom, pipeline
 from simcore.core.artifacts import Phantom
 from simcore.core.errors import ResourceLimitError, SpecError
-from simcore.core.store import Store, file_digest
 from simcore.core.tissues import Tissue
 from simcore.fem.spec import CompressionSpec
 from simcore.mesh.spec import LatticeMesh
@@ -25,6 +24,8 @@ from simcore.phantom.upload.spec import UploadedPhantom
 from simcore.phantom.upload.wall import Ends
 from simcore.presets import get
 from simcore.spec import SimulationSpec
+from simcore.store.hashing import file_digest
+from simcore.store.store import Store
 from tests.support import upload_files as files
 
 VOXELS = files.half_breast()

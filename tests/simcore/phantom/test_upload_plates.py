@@ -12,12 +12,12 @@ from numpy.typing import NDArray
 from simcore import estimate, phantom, pipeline
 from simcore.core.artifacts import Phantom
 from simcore.core.errors import SpecError
-from simcore.core.store import Store
 from simcore.core.tissues import Tissue
 from simcore.phantom.upload import registry
 from simcore.phantom.upload.reading import Reading
 from simcore.phantom.upload.spec import UploadedPhantom
 from simcore.presets import get
+from simcore.store.store import Store
 from tests.support.plates import LOWER, UPPER, compressed, nrrd
 
 

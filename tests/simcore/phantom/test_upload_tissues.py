@@ -13,12 +13,12 @@ from numpy.typing import NDArray
 
 from simcore import phantom
 from simcore.core.errors import SpecError
-from simcore.core.store import Store
 from simcore.core.tissues import Tissue
 from simcore.phantom.upload import lesions, registry, segments, tissue_maps
 from simcore.phantom.upload.formats import decoding
 from simcore.phantom.upload.reading import Reading
 from simcore.phantom.upload.spec import UploadedPhantom
+from simcore.store.store import Store
 
 
 @pytest.fixture

@@ -7,7 +7,7 @@ import threading
 import pytest
 
 from simcore.core.errors import StoreError
-from simcore.core.store import Store
+from simcore.store.store import Store
 from worker.compute.supervisor import Slot
 from worker.records import schema
 from worker.records.database import connect

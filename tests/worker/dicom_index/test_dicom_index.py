@@ -2,7 +2,7 @@
 
 import pytest
 
-from simcore.core.store import FileRef
+from simcore.store.hashing import FileRef
 from worker.dicom_index.index import Condition, DicomIndex, Entry, Pixels
 from worker.records.database import simulations
 from worker.records.retention import ExpiredError

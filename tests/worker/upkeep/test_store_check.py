@@ -5,8 +5,8 @@ import sys
 
 import pytest
 
-from simcore.core.bucket import Bucket
 from simcore.core.errors import StoreError
+from simcore.store.bucket import Bucket
 from worker.serve.processes import environment
 from worker.upkeep.store_check import check
 

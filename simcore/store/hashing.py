@@ -53,11 +53,11 @@ class _HashedFile(io.BufferedWriter):
         self.ref = pool.submit(self._hash)
 
     def _hash(self) -> FileRef:
-        found, size = hashlib.sha256(), 0
+        sha256, size = hashlib.sha256(), 0
         while (piece := self._pieces.get()) is not None:
-            found.update(piece)
+            sha256.update(piece)
             size += memoryview(piece).nbytes
-        return FileRef(found.hexdigest(), size) if self._in_order else file_ref(self._path)
+        return FileRef(sha256.hexdigest(), size) if self._in_order else file_ref(self._path)
 
     def write(self, content: Any) -> int:
         self._in_order &= memoryview(content).readonly
@@ -85,24 +85,24 @@ class Hashing:
     def __init__(self) -> None:
         self._pool = ThreadPoolExecutor(2, "hash")
         self._disk = ThreadPoolExecutor(1, "disk")
-        self._found: dict[Path, Future[FileRef]] = {}
+        self._refs: dict[Path, Future[FileRef]] = {}
         self._synced: list[Future[None]] = []
 
     def open(self, path: Path) -> BinaryIO:
         """For writing, once."""
         file = _HashedFile(path, self._pool, lambda: self._synced.append(self._disk.submit(sync_file, path)))
-        self._found[path] = file.ref
+        self._refs[path] = file.ref
         return file
 
     def refs(self, paths: dict[str, Path]) -> dict[str, FileRef]:
         """Digest and size of every file, by name."""
         for path in sorted(paths.values(), key=lambda path: -path.stat().st_size):
-            if path not in self._found:
-                self._found[path] = self._pool.submit(file_ref, path)
-        found = {name: self._found[path].result() for name, path in paths.items()}
+            if path not in self._refs:
+                self._refs[path] = self._pool.submit(file_ref, path)
+        refs = {name: self._refs[path].result() for name, path in paths.items()}
         for synced in self._synced:
             synced.result()  # a disk tells of a failure only once
-        return found
+        return refs
 
     def __enter__(self) -> Hashing:
         return self

@@ -5,10 +5,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from simcore.core import files
 from simcore.core.artifacts import Compression, Phantom, ProjectionStack, TetMesh, Volume
 from simcore.core.geometry import AcquisitionGeometry, Detector
 from simcore.core.grid import Grid
+from simcore.store import codecs
 
 GRID = Grid((3, 4, 5), (0.2, 0.3, 0.4), (0.0, -1.0, 2.0))
 GEOMETRY = AcquisitionGeometry(
@@ -24,28 +24,28 @@ rng = np.random.default_rng(0)
 CASES = {
     "phantom": (
         Phantom(rng.integers(0, 5, GRID.shape, dtype=np.uint8), GRID, ({"kind": "mass"},), {"volume_ml": 1.0}),
-        files.save_phantom,
-        files.load_phantom,
+        codecs.save_phantom,
+        codecs.load_phantom,
     ),
     "mesh": (
         TetMesh(rng.random((5, 3)), np.array([[0, 1, 2, 3]]), np.array([0]), np.array([[0, 1, 2]]), {"n": 1}),
-        files.save_mesh,
-        files.load_mesh,
+        codecs.save_mesh,
+        codecs.load_mesh,
     ),
     "compression": (
         Compression(rng.random((5, 3)), (-1.0, 2.0), 80.0, "converged", {"a": [1, 2]}),
-        files.save_compression,
-        files.load_compression,
+        codecs.save_compression,
+        codecs.load_compression,
     ),
     "stack": (
         ProjectionStack(rng.integers(0, 60000, (2, 6, 7), dtype=np.uint16), 6e4, GEOMETRY, {"r": 1}),
-        files.save_stack,
-        files.load_stack,
+        codecs.save_stack,
+        codecs.load_stack,
     ),
     "volume": (
         Volume(rng.integers(0, 60000, GRID.shape, dtype=np.uint16), GRID, 1e-5, -0.2, {}),
-        files.save_volume,
-        files.load_volume,
+        codecs.save_volume,
+        codecs.load_volume,
     ),
 }
 
@@ -81,11 +81,11 @@ def test_same_bytes(name: str, tmp_path: Path):
 
 
 def test_a_label_volume_cut_short_is_an_error(tmp_path: Path):
-    files.save_phantom(tmp_path, CASES["phantom"][0])
+    codecs.save_phantom(tmp_path, CASES["phantom"][0])
     path = tmp_path / "labels.npy.zst"
     path.write_bytes(path.read_bytes()[:-5])
     with pytest.raises(ValueError):
-        files.load_phantom(lambda n: tmp_path / n)
+        codecs.load_phantom(lambda n: tmp_path / n)
 
 
 def test_labels_and_grid_must_agree():

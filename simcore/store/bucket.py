@@ -83,8 +83,8 @@ class Bucket:
         """Content of a small object; None where there is none."""
         with self._errors():
             try:
-                found = self._client.get_object(Bucket=self._name, Key=self._prefix + name)
-                return found["Body"].read(), _head(name, found)
+                answer = self._client.get_object(Bucket=self._name, Key=self._prefix + name)
+                return answer["Body"].read(), _head(name, answer)
             except self._client.exceptions.ClientError as error:
                 _only_if(error, _MISSING)
                 return None
@@ -148,11 +148,11 @@ class Bucket:
         with self._errors():
             try:
                 wanted = f"bytes={start}-{start + length - 1}"
-                found = self._client.get_object(Bucket=self._name, Key=self._prefix + name, Range=wanted)
+                answer = self._client.get_object(Bucket=self._name, Key=self._prefix + name, Range=wanted)
             except self._client.exceptions.ClientError as error:
                 _only_if(error, _MISSING)
                 raise StoreError(f"{name} is not in {self.location.url} any more", code="object-missing") from None
-            yield from found["Body"].iter_chunks(PIECE_BYTES)
+            yield from answer["Body"].iter_chunks(PIECE_BYTES)
 
     def list(self, prefix: str) -> Iterator[Head]:
         """All objects whose name begins so. Their age is not asked for: 0."""
@@ -166,8 +166,8 @@ class Bucket:
     def abort_uploads(self, before: float) -> None:
         """Removes the parts of uploads that were begun before then and never came to an end."""
         with self._errors():
-            found = self._client.list_multipart_uploads(Bucket=self._name, Prefix=self._prefix)
-            for upload in found.get("Uploads", ()):
+            answer = self._client.list_multipart_uploads(Bucket=self._name, Prefix=self._prefix)
+            for upload in answer.get("Uploads", ()):
                 if upload["Initiated"].timestamp() < before:
                     self._client.abort_multipart_upload(
                         Bucket=self._name, Key=upload["Key"], UploadId=upload["UploadId"]
@@ -256,11 +256,11 @@ def _transfer() -> Any:
     )
 
 
-def _head(name: str, found: dict[str, Any]) -> Head:
-    modified = found["LastModified"].timestamp()
-    headers = found["ResponseMetadata"]["HTTPHeaders"]
+def _head(name: str, answer: dict[str, Any]) -> Head:
+    modified = answer["LastModified"].timestamp()
+    headers = answer["ResponseMetadata"]["HTTPHeaders"]
     now = parsedate_to_datetime(headers["date"]).timestamp() if "date" in headers else modified
-    return Head(name, found["ContentLength"], found["ETag"], modified, max(0.0, now - modified))
+    return Head(name, answer["ContentLength"], answer["ETag"], modified, max(0.0, now - modified))
 
 
 def _code(error: Any) -> str:

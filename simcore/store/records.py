@@ -12,7 +12,7 @@ from typing import Any
 
 from simcore.core.artifacts import Report
 from simcore.core.canonical import digest
-from simcore.core.hashing import FileRef, Hashing
+from simcore.store.hashing import FileRef, Hashing
 
 
 @dataclass(frozen=True)
@@ -33,10 +33,18 @@ class StageRecord:
         Independent of when and how fast it ran."""
         return digest({name: ref.sha256 for name, ref in self.outputs.items()})
 
-    @classmethod
-    def from_json(cls, text: bytes) -> StageRecord:
-        d = json.loads(text)
-        return cls(**{**d, "outputs": {n: FileRef(**r) for n, r in d["outputs"].items()}})
+
+def parsed(content: bytes | None, stamped: bool = False) -> StageRecord | None:
+    """A record from its JSON; None where there is none: an unreadable record is recomputed, not trusted.
+
+    stamped: it lies under ``record``, beside what tells one writing of it from another.
+    """
+    try:
+        data = json.loads(content or b"")
+        fields = data["record"] if stamped else data
+        return StageRecord(**{**fields, "outputs": {name: FileRef(**ref) for name, ref in fields["outputs"].items()}})
+    except (ValueError, TypeError, KeyError, AttributeError):
+        return None
 
 
 @dataclass(frozen=True)
@@ -84,11 +92,11 @@ class Commits:
         """Runs what makes a record of finished files."""
         return self._hasher.submit(make)
 
-    def take(self, commit: Callable[[], None], held: contextlib.ExitStack) -> None:
-        """Runs ``commit`` and then leaves ``held`` (the lock and the folder of the stage)."""
+    def take(self, commit: Callable[[], None], resources: contextlib.ExitStack) -> None:
+        """Runs ``commit`` and then leaves ``resources`` (the lock and the folder of the stage)."""
 
         def run() -> None:
-            with held:
+            with resources:
                 commit()
 
         self._underway.append(self._thread.submit(run))

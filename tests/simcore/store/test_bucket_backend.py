@@ -4,15 +4,22 @@ import multiprocessing
 import os
 import threading
 import time
+from functools import partial
 from pathlib import Path
 
 import pytest
 
-from simcore.core import bucket, object_store
-from simcore.core.bucket import Bucket, Location
 from simcore.core.errors import StoreError
-from simcore.core.object_store import ObjectStore
+from simcore.store import bucket, bucket_lock
+from simcore.store.bucket import Bucket, Location
+from simcore.store.bucket_backend import BucketBackend
+from simcore.store.store import Store
+from simcore.store.workspaces import workspace_prefix
 from tests.support.waiting import wait_for
+
+
+def open_store(root: Path, location: Location, **options) -> Store:
+    return Store(root, 0, partial(BucketBackend, location=location, **options))
 
 
 @pytest.fixture
@@ -24,8 +31,8 @@ def location(make_location):
 def machine(location, tmp_path):
     """A machine of its own: the same bucket, another folder."""
 
-    def make(name="here", **options) -> ObjectStore:
-        return ObjectStore(tmp_path / name, location, min_free_bytes=0, **options)
+    def make(name="here", **options) -> Store:
+        return open_store(tmp_path / name, location, **options)
 
     return make
 
@@ -119,7 +126,7 @@ def test_changed_content_is_never_used(machine, there):
         with pytest.raises(StoreError) as caught:
             use(ref)
         assert caught.value.code == "object-corrupt"
-    assert not other._local(ref).exists()
+    assert not other.backend.folder.path(ref).exists()
 
 
 def test_an_unreadable_record_is_computed_again(machine, there):
@@ -138,7 +145,7 @@ def _compute_slowly(root: Path, location: Location, log: Path) -> None:
         (folder / "a.txt").write_text("x")
         return {}, 0.5, 0
 
-    ObjectStore(root, location, min_free_bytes=0).run("s", 1, {}, {}, compute)
+    open_store(root, location).run("s", 1, {}, {}, compute)
 
 
 def test_one_computation_however_many_machines_ask(location, tmp_path):
@@ -155,7 +162,7 @@ def test_one_computation_however_many_machines_ask(location, tmp_path):
 
 
 def test_a_lock_is_renewed_and_only_a_silent_one_taken_over(machine, there, monkeypatch):
-    monkeypatch.setattr(object_store, "POLL_SECONDS", 0.05)
+    monkeypatch.setattr(bucket_lock, "POLL_SECONDS", 0.05)
     entered = threading.Event()
 
     def ask():
@@ -169,14 +176,14 @@ def test_a_lock_is_renewed_and_only_a_silent_one_taken_over(machine, there, monk
         # The renewal of the holder, as its thread does it.
         assert there.put("locks/k", b"renewed", tag=held.tag)
         assert not entered.wait(0.3)
-        monkeypatch.setattr(object_store, "LOCK_SECONDS", -1.0)  # now it counts as silent
+        monkeypatch.setattr(bucket_lock, "LOCK_SECONDS", -1.0)  # now it counts as silent
         assert entered.wait(10)
         asking.join()
     assert there.head("locks/k") is None
 
 
 def _hold_for_ever(root, location):
-    with ObjectStore(root, location, min_free_bytes=0).lock("k"):
+    with open_store(root, location).lock("k"):
         time.sleep(600)
 
 
@@ -207,7 +214,7 @@ def test_who_was_killed_holds_up_nobody_of_its_own_machine(machine, location, th
 
 def test_the_locks_of_a_killed_process_are_freed(machine, there):
     store = machine()
-    there.put("locks/mine", store_content := f"{object_store.workspace_prefix(4711)}x".encode())
+    there.put("locks/mine", store_content := f"{workspace_prefix(4711)}x".encode())
     there.put("locks/other", store_content.replace(b"4711", b"4712"))
     store.remove_workspaces(4711)
     assert [head.name for head in there.list("locks/")] == ["locks/other"]
@@ -272,14 +279,14 @@ def test_the_cache_is_kept_small(machine, monkeypatch):
     store = machine(cache_bytes=3)
     record, _ = store.run("s", 1, {}, {}, write("x"))
     a, b = record.outputs["a.txt"], record.outputs["sub/b.txt"]
-    store.trim()
-    assert store._local(a).exists()  # used within the hour
+    store.backend.cache.trim()
+    assert store.backend.folder.path(a).exists()  # used within the hour
     for n, ref in enumerate((a, b)):
-        os.utime(store._local(ref), (time.time() - 7200 + n,) * 2)
-    store.cache_bytes = 2
-    store.trim()
-    assert not store._local(a).exists()
-    assert store._local(b).exists()
+        os.utime(store.backend.folder.path(ref), (time.time() - 7200 + n,) * 2)
+    store.backend.cache.size = 2
+    store.backend.cache.trim()
+    assert not store.backend.folder.path(a).exists()
+    assert store.backend.folder.path(b).exists()
     assert store.path(a).read_text() == "x"  # fetched again
 
 
@@ -304,7 +311,7 @@ def test_what_is_wrong_with_the_bucket_is_said(location, tmp_path):
     def use(**changes):
         wrong = Location(**{**vars(location), **changes})
         with pytest.raises(StoreError) as caught:
-            ObjectStore(tmp_path, wrong, min_free_bytes=0).check()
+            open_store(tmp_path, wrong).check()
         return caught.value.code, str(caught.value)
 
     code, message = use(url="s3://not-there")
@@ -322,7 +329,7 @@ def test_without_credentials(location, tmp_path, monkeypatch):
     monkeypatch.setenv("AWS_EC2_METADATA_DISABLED", "true")
     monkeypatch.setenv("HOME", str(tmp_path))
     with pytest.raises(StoreError, match="TOMOSIM_STORE_ACCESS_KEY"):
-        ObjectStore(tmp_path, Location(location.url, location.endpoint), min_free_bytes=0).check()
+        open_store(tmp_path, Location(location.url, location.endpoint)).check()
 
 
 def test_the_secret_is_not_shown(location):

@@ -17,9 +17,9 @@ import zstandard
 from numpy.typing import NDArray
 
 from simcore.core.artifacts import Compression, Phantom, ProjectionStack, TetMesh, Volume
+from simcore.core.canonical import canonical
 from simcore.core.geometry import AcquisitionGeometry
 from simcore.core.grid import Grid
-from simcore.core.store import canonical
 
 Locate = Callable[[str], Path]
 """Where an output of the stage lies, by name."""

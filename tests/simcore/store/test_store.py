@@ -11,10 +11,13 @@ from pathlib import Path
 
 import pytest
 
-from simcore.core import hashing as hashing_module
-from simcore.core import store as store_module
+from simcore.core.canonical import canonical
 from simcore.core.errors import StoreError
-from simcore.core.store import Commits, Hashing, Store, canonical, stage_key
+from simcore.store import hashing as hashing_module
+from simcore.store import store as store_module
+from simcore.store.hashing import Hashing
+from simcore.store.records import Commits, stage_key
+from simcore.store.store import Store
 
 
 @pytest.fixture
