@@ -147,8 +147,8 @@ class Bucket:
             return
         with self._errors():
             try:
-                wanted = f"bytes={start}-{start + length - 1}"
-                answer = self._client.get_object(Bucket=self._name, Key=self._prefix + name, Range=wanted)
+                span = f"bytes={start}-{start + length - 1}"
+                answer = self._client.get_object(Bucket=self._name, Key=self._prefix + name, Range=span)
             except self._client.exceptions.ClientError as error:
                 _only_if(error, _MISSING)
                 raise StoreError(f"{name} is not in {self.location.url} any more", code="object-missing") from None
