@@ -233,3 +233,31 @@ def test_the_mean_is_unbiased_after_flat_field():
     assert stack.processed.mean() == pytest.approx(0.25 * 16000, rel=5e-4)
     thirds = stack.processed.reshape(4, 512, 4, 128).mean(axis=(0, 1, 3))
     assert thirds == pytest.approx(4000, rel=1e-3)
+
+
+def test_siemens_loses_a_fifth_of_its_efficiency_at_0_4_mR():
+    """One published measurement: DQE 20 % below its maximum. 0.4 mR are 3.5 uGy, with 4.5e6 photons per mm2 and mGy."""
+    spec = detector_of("siemens-inspiration").with_(pattern=FixedPattern(), gain_DN_per_keV=1.0, lag=0.0)
+    pixel = 0.085
+    place = scenes.geometry(views=4, ny=768, nx=768, pixel=pixel)
+    photons = 3.5e-3 * 4.5e6 * pixel**2
+    one = response(spec.converter, 20.0)
+    shape = (4, 768, 768)
+    efficiencies = []
+    for exposure in (photons, 20 * photons):
+        signal, variance = (
+            np.full(shape, exposure * float(weight), np.float32) for weight in (one.signal, one.variance)
+        )
+        stack = detect(Expected(signal, variance, signal[0]), spec.with_(bits=16), place, 1)
+        frequency, power = noise_power(squares(stack.raw.astype(np.float64)), pixel)
+        low = power[(frequency > 0.2) & (frequency < 0.8)].mean() / float(signal[0, 0, 0]) ** 2
+        efficiencies.append(float(detective_quantum_efficiency(1.0, low, exposure / pixel**2)))
+    assert 1 - efficiencies[0] / efficiencies[1] == pytest.approx(0.20, abs=0.07)
+
+
+def test_hologic_has_its_electronic_noise_and_offset_in_the_dark():
+    spec = detector_of("hologic-dimensions").with_(pattern=FixedPattern())
+    place = scenes.geometry(ny=512, nx=512, pixel=0.14)
+    dark = detect(scenes.uniform(place, 0.0, flat=1e5), spec, place, 0).raw
+    assert dark.mean() == pytest.approx(53, abs=0.02)
+    assert dark.std() == pytest.approx(np.hypot(2.28, np.sqrt(1 / 12)), rel=0.01)
