@@ -6,8 +6,10 @@ and others have them. Needs boto3: the extra ``s3``.
 
 from __future__ import annotations
 
+import random
 import re
-from collections.abc import Iterator
+import time
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from email.utils import parsedate_to_datetime
@@ -26,7 +28,12 @@ READ_SECONDS = 60
 ATTEMPTS = 4
 
 _MISSING = ("404", "NoSuchKey", "NotFound")
-_OVERTAKEN = ("412", "PreconditionFailed", "409", "ConditionalRequestConflict")
+_OVERTAKEN = ("412", "PreconditionFailed")
+_CONFLICT = ("409", "ConditionalRequestConflict")
+"""Another write is under way; whether the condition holds is not known yet."""
+
+CONFLICT_SECONDS = 20.0
+"""A conditional write is asked for again for so long while others are under way."""
 
 
 @dataclass(frozen=True)
@@ -106,10 +113,8 @@ class Bucket:
         condition = {"IfNoneMatch": "*"} if fresh else {"IfMatch": tag} if tag is not None else {}
         with self._errors():
             try:
-                done = self._client.put_object(
-                    Bucket=self._name, Key=self._prefix + name, Body=content, ChecksumAlgorithm="SHA256", **condition
-                )
-                return str(done["ETag"])
+                arguments = {"Body": content, "ChecksumAlgorithm": "SHA256", **condition}
+                return str(self._settled(self._client.put_object, name, arguments)["ETag"])
             except self._client.exceptions.ClientError as error:
                 _only_if(error, _OVERTAKEN + (_MISSING if tag is not None else ()))
                 return None
@@ -119,11 +124,22 @@ class Bucket:
         condition = {} if tag is None else {"IfMatch": tag}
         with self._errors():
             try:
-                self._client.delete_object(Bucket=self._name, Key=self._prefix + name, **condition)
+                self._settled(self._client.delete_object, name, condition)
             except self._client.exceptions.ClientError as error:
                 _only_if(error, _OVERTAKEN + _MISSING)
                 return _code(error) in _MISSING
         return True
+
+    def _settled(self, write: Callable[..., Any], name: str, arguments: dict[str, Any]) -> Any:
+        """The answer to a write, asked for again as long as it only says that another one is under way."""
+        end = time.monotonic() + CONFLICT_SECONDS
+        while True:
+            try:
+                return write(Bucket=self._name, Key=self._prefix + name, **arguments)
+            except self._client.exceptions.ClientError as error:
+                if _code(error) not in _CONFLICT or time.monotonic() > end:
+                    raise
+            time.sleep(random.uniform(0.02, 0.1))
 
     def upload(self, path: Path, name: str) -> None:
         """Writes a file of any size; the service compares the SHA-256 of what it received."""

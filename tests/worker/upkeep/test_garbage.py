@@ -39,6 +39,14 @@ def store(request, tmp_path):
 
 
 @pytest.fixture
+def collecting(store, tmp_path):
+    """The store as the machine sees it that collects: in S3 another one than that of the cases, with its own folder."""
+    if not isinstance(store.backend, BucketBackend):
+        return store
+    return Store(tmp_path / "collecting", 0, partial(BucketBackend, location=store.backend.bucket.location))
+
+
+@pytest.fixture
 def database(tmp_path, backend):
     engine = connect(str(backend.get("database_url", f"sqlite:///{tmp_path / 'garbage.db'}")))
     schema.upgrade(engine)
@@ -176,34 +184,34 @@ def write(text):
     return compute
 
 
-def test_a_case_that_reads_its_inputs_keeps_them(database, store, monkeypatch):
+def test_a_case_that_reads_its_inputs_keeps_them(database, store, collecting, monkeypatch):
     record, _ = store.run("phantom", 1, {}, {}, write("input"))
     age(store, monkeypatch)
     stored, cached = store.run("phantom", 1, {}, {}, write("input"))
     assert cached
-    done = collect(database, store, DAY, time.time())
+    done = collect(database, collecting, DAY, time.time())
     assert (done.records, done.objects) == (0, 0)
-    assert store.path(stored.outputs["a"]).read_text() == "input"
+    assert collecting.path(stored.outputs["a"]).read_text() == "input"
     assert stored == record
 
 
-def test_a_case_that_commits_what_is_about_to_be_removed(database, store, monkeypatch):
+def test_a_case_that_commits_what_is_about_to_be_removed(database, store, collecting, monkeypatch):
     """The same content under another key: the old file is not removed under the new record."""
     store.run("phantom", 1, {"p": 1}, {}, write("same"))
     age(store, monkeypatch)
-    listed = store.objects
+    listed = collecting.objects
 
     def commit_meanwhile():
         rows = list(listed())
         store.run("phantom", 1, {"p": 2}, {}, write("same"))
         return iter(rows)
 
-    monkeypatch.setattr(store, "objects", commit_meanwhile)
-    done = collect(database, store, DAY, time.time())
+    monkeypatch.setattr(collecting, "objects", commit_meanwhile)
+    done = collect(database, collecting, DAY, time.time())
     record, cached = store.run("phantom", 1, {"p": 2}, {}, write("same"))
     # S3 keeps the time of a write of equal content to the second
     assert cached or isinstance(store.backend, BucketBackend)
-    assert store.has(record.outputs["a"])
+    assert collecting.has(record.outputs["a"])
     assert done.records == 1
 
 
