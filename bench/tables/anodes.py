@@ -17,7 +17,7 @@ ANODES = ("W", "Mo", "Rh")
 TARGET_ANGLE = 22.0
 LOWEST_KV, HIGHEST_KV = 20, 49
 BIN_KEV, STEPS_A_BIN, LOWEST_KEV = 0.5, 5, 1.0
-TAKE_OFF_ANGLES = (5.0, 7.0, 10.0, 14.0, 18.0, 22.0, 28.0, 36.0)
+TAKE_OFF_ANGLES = (3.0, 4.0, 5.0, 6.5, 8.0, 10.0, 13.0, 17.0, 22.0, 28.0, 36.0, 40.0)
 KV_OF_ANGLES = (20, 28, 49)
 PHYSICS = "casim"
 LEAST_LINE = 1e-5
@@ -73,10 +73,13 @@ def anode_tables(path: Path) -> None:
 
 @cache
 def _parts(anode: str, kv: int, take_off: float, steps: float, bins: int) -> tuple[FloatArray, FloatArray]:
-    """Continuum and lines over fine bins, photons a cm2, mAs and keV at 1 m; zeros above the tube voltage."""
+    """Continuum and lines over fine bins, photons a cm2, mAs and keV at 1 m; zeros above the tube voltage.
+
+    SpekPy counts x from the anode to the cathode: a take-off angle below the target angle has x below 0.
+    """
     import spekpy
 
-    sideways = 100.0 * np.tan(np.deg2rad(TARGET_ANGLE - take_off))
+    sideways = 100.0 * np.tan(np.deg2rad(take_off - TARGET_ANGLE))
     parts = []
     for kind in ({"char": False}, {"brem": False}):
         spectrum = spekpy.Spek(

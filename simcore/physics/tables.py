@@ -113,3 +113,16 @@ def k_shells() -> Mapping[str, KShell]:
             for row in rows("fluorescence")
         }
     )
+
+
+def tg195_spectrum(name: str) -> tuple[FloatArray, FloatArray]:
+    """(energies in keV, photons a bin of 0.5 keV) of AAPM Report 195 before any air, in all 1.
+
+    name: "mo-mo-30", "w-al-100" or "w-al-120". raises: ValueError for another.
+    """
+    table = rows("tg195")
+    names = sorted({row["spectrum"] for row in table})
+    if name not in names:
+        raise ValueError(f"no TG-195 spectrum {name!r}; there are {', '.join(names)}")
+    pairs = np.array([(float(row["energy_keV"]), float(row["photons"])) for row in table if row["spectrum"] == name])
+    return frozen(pairs[:, 0]), frozen(pairs[:, 1])
