@@ -38,6 +38,8 @@ IN_PLANE = ("fbp", "backprojection")
 # Measured on the paper's case; docs/performance.md.
 BYTES_BASE = 500e6
 BYTES_PER_TETRAHEDRON = 6e3
+# Noise-free signal and variance, those with scatter, open field, raw and flat-fielded values of a pixel of a view.
+BYTES_PER_XRAY_PIXEL = 26.0
 # Of a ray on two cores, by the way it is computed; samples at 0.2 mm voxels and steps of 0.45 through 96 mm.
 SECONDS_PER_RAY = {"planes": 1e-8, "turned": 1.3e-7, "one by one": 5e-7, "samples": 1.4e-6}
 
@@ -86,8 +88,12 @@ def estimate(spec: SimulationSpec) -> Estimate:
     tets = 0.0 if spec.phantom.compressed else 35e3 * (5.5 / spec.mesh.edge_length_mm) ** 3
     labels = spec.phantom.voxels_held
     memory = BYTES_BASE + labels + after + BYTES_PER_TETRAHEDRON * tets + 2 * stack + 2 * worked + max(after, 4 * stack)
-    rays = spec.physics.rays_per_pixel_edge**2
-    memory += 4 * pixels * (rays - 1)
+    rays = 1
+    if spec.physics.kind == "xray":
+        memory += BYTES_PER_XRAY_PIXEL * stack
+    else:
+        rays = spec.physics.rays_per_pixel_edge**2
+        memory += 4 * pixels * (rays - 1)
     further = {
         "presentation": 2 * stack,
         "synthetic-2d": 2 * plane,
@@ -110,7 +116,7 @@ def estimate(spec: SimulationSpec) -> Estimate:
 def _view_seconds(spec: SimulationSpec, thickness: float) -> float:
     """Time of one ray in every view, summed over the views. thickness: of the breast, mm."""
     a, physics = spec.acquisition, spec.physics
-    if physics.sampling == "trilinear":
+    if physics.kind == "monoenergetic" and physics.sampling == "trilinear":
         samples = thickness / (physics.step_voxels * math.cbrt(spec.phantom.voxel_volume_mm3))
         return a.views * SECONDS_PER_RAY["samples"] * samples * 0.45 * 0.2 / 96.0
     if a.trajectory is None:

@@ -16,6 +16,7 @@ from simcore.phantom.spec import AnthropomorphicPhantom, PhantomSpec
 from simcore.projection.spec import AcquisitionSpec, PhysicsSpec
 from simcore.reconstruction.spec import FilteredBackprojection, ReconstructionSpec
 from simcore.warp.spec import WarpSpec
+from simcore.xray import AnyPhysicsSpec
 
 
 class SimulationSpec(Spec):
@@ -33,7 +34,7 @@ class SimulationSpec(Spec):
     compression: CompressionSpec = CompressionSpec()
     warp: WarpSpec = WarpSpec()
     acquisition: AcquisitionSpec = AcquisitionSpec()
-    physics: PhysicsSpec = PhysicsSpec()
+    physics: AnyPhysicsSpec = PhysicsSpec()
     reconstruction: ReconstructionSpec = FilteredBackprojection()
     export: ExportSpec = ExportSpec()
 

@@ -43,11 +43,22 @@ def _unused(spec: SimulationSpec) -> Iterator[tuple[str, str]]:
     yield from _of_phantom(spec)
     yield from _of_compression(spec.compression, spec.phantom.compressed)
     yield from _of_material(spec)
-    if spec.physics.sampling == "exact":
-        yield from _named("physics", spec.physics, ("step_voxels",), "physics.sampling is 'exact'")
+    yield from _of_physics(spec)
     if spec.export.view == "CC":
         yield from _named("export", spec.export, ("oblique_angle_degrees",), "export.view is 'CC'")
     yield from _of_reconstruction(spec)
+
+
+def _of_physics(spec: SimulationSpec) -> Iterator[tuple[str, str]]:
+    physics, detector = spec.physics, spec.acquisition.detector
+    if physics.kind == "xray":
+        why = "physics.kind is 'xray': the values of pixels are those of physics.detector"
+        yield from _named("acquisition.detector", detector, ("bits", "open_field_value"), why)
+        if physics.tube.measured is not None:
+            why = "physics.tube.measured is behind all filters"
+            yield from _named("physics.tube", physics.tube, ("anode", "kVp", "filters", "inherent"), why)
+    elif physics.sampling == "exact":
+        yield from _named("physics", physics, ("step_voxels",), "physics.sampling is 'exact'")
 
 
 def _of_phantom(spec: SimulationSpec) -> Iterator[tuple[str, str]]:

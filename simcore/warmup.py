@@ -28,9 +28,10 @@ from simcore.detection.transfer import RationalTransfer
 from simcore.mesh.spec import LatticeMesh
 from simcore.mesh.structured import half_ellipsoid
 from simcore.phantom.spec import AnthropomorphicPhantom, CompartmentSpec, DuctSpec, TextureSpec
-from simcore.projection.spec import SlabSpec
+from simcore.projection.spec import PhysicsSpec, SlabSpec
 
 TINY = presets.get("tiny")
+MONOENERGETIC = PhysicsSpec()
 GROWN = AnthropomorphicPhantom(volume_ml=60.0, voxel_mm=1.0, compartments=CompartmentSpec(count=60, ligament_mm=1.0))
 THICKNESS_MM = 30.0
 AXES_MM = (40.0, 30.0, 15.0, 15.0)
@@ -132,7 +133,7 @@ def _warp() -> None:
 
 
 def _projection() -> None:
-    projection.project(_compressed(), TINY.acquisition, TINY.physics)
+    projection.project(_compressed(), TINY.acquisition, MONOENERGETIC)
 
 
 def _detection() -> None:
@@ -150,7 +151,7 @@ def _reconstruction() -> None:
 
 
 def _files() -> None:
-    case = dicom.CaseDescription("0" * 64, 1, "", TINY.physics.energy_keV)
+    case = dicom.CaseDescription("0" * 64, 1, "", MONOENERGETIC.energy_keV)
     stack, volume = _stack(), _volume()
     with tempfile.TemporaryDirectory() as folder:
         root = Path(folder)
@@ -170,10 +171,10 @@ def _other_phantoms() -> None:
 
 def _other_projections() -> None:
     breast = _compressed()
-    rays = TINY.physics.with_(sampling="trilinear", rays_per_pixel_edge=2)
+    rays = MONOENERGETIC.with_(sampling="trilinear", rays_per_pixel_edge=2)
     projection.project(breast, TINY.acquisition, rays)
     turning = TINY.acquisition.with_(detector_range_degrees=4.0, paddle=SlabSpec())
-    projection.project(breast, turning, TINY.physics)
+    projection.project(breast, turning, MONOENERGETIC)
 
 
 PARTS: dict[str, Callable[[], None]] = {

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from simcore.core.artifacts import Compression, Phantom, ProjectionStack, TetMesh, Volume
+from typing import Any
+
+from simcore.core.artifacts import Compression, Phantom, ProjectionStack, TetMesh, TransportResult, Volume
 from simcore.pipeline.graph import Codec
 from simcore.spec import SimulationSpec
 from simcore.store import codecs
@@ -20,7 +22,17 @@ def compression(spec: SimulationSpec) -> Codec[Compression]:
     return Codec(codecs.save_compression, codecs.load_compression)
 
 
-def projections(spec: SimulationSpec) -> Codec[ProjectionStack]:
+def projections(spec: SimulationSpec) -> Codec[Any]:
+    if spec.physics.kind == "xray":
+        return Codec(codecs.save_primary, codecs.load_primary)
+    return Codec(codecs.save_stack, codecs.load_stack)
+
+
+def transport(spec: SimulationSpec) -> Codec[TransportResult]:
+    return Codec(codecs.save_transport, codecs.load_transport)
+
+
+def detected(spec: SimulationSpec) -> Codec[ProjectionStack]:
     return Codec(codecs.save_stack, codecs.load_stack)
 
 

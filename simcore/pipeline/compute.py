@@ -6,10 +6,11 @@ from dataclasses import asdict
 from typing import Any
 
 from simcore import __version__, dicom, fem, mesh, phantom, projection, reconstruction, warp
-from simcore.core.artifacts import Compression, Phantom, ProjectionStack, Report, TetMesh, Volume
+from simcore.core.artifacts import Compression, Phantom, Primary, ProjectionStack, Report, TetMesh, Volume
 from simcore.core.canonical import digest
 from simcore.core.progress import Progress
 from simcore.dicom.spec import ExportSpec
+from simcore.pipeline import xray
 from simcore.pipeline.graph import Case, Work
 
 
@@ -38,17 +39,31 @@ def compressed_phantom_of(case: Case, progress: Progress) -> Phantom:
 
 
 def projection_parameters(case: Case) -> Any:
-    return {"acquisition": case.spec.acquisition.parameters(), "physics": case.spec.physics.parameters()}
+    physics = case.spec.physics
+    own = physics.projection_parameters() if physics.kind == "xray" else physics.parameters()
+    return {"acquisition": case.spec.acquisition.parameters(), "physics": own}
 
 
-def projections_of(case: Case, progress: Progress) -> ProjectionStack:
-    return projection.project(case.artifact("warp"), case.spec.acquisition, case.spec.physics, progress)
+def projections_of(case: Case, progress: Progress) -> ProjectionStack | Primary:
+    physics = case.spec.physics
+    if physics.kind == "xray":
+        return xray.primary_of(case, progress)
+    return projection.project(case.artifact("warp"), case.spec.acquisition, physics, progress)
+
+
+def transport_parameters(case: Case) -> Any:
+    acquisition = case.spec.acquisition.parameters()
+    return {"acquisition": acquisition, "physics": xray.xray(case).transport_parameters(), "seed": case.spec.seed}
+
+
+def detection_parameters(case: Case) -> Any:
+    return {"physics": xray.xray(case).detection_parameters(), "seed": case.spec.seed}
 
 
 def volume_of(case: Case, progress: Progress) -> Volume:
     thickness = case.artifact("fem").thickness
     below, above = case.report("warp").get("beyond_plates_mm", (0.0, 0.0))
-    stack = case.artifact("projection")
+    stack = case.artifact("detection")
     return reconstruction.reconstruct(stack, case.spec.reconstruction, thickness, progress, (below, above))
 
 
@@ -61,7 +76,7 @@ def write_study(case: Case, work: Work) -> Report:
         work.folder,
         _export_spec(case),
         _description(case),
-        case.artifact("projection"),
+        case.artifact("detection"),
         case.artifact("reconstruction"),
         case.artifact("warp"),
         case.artifact("fem"),
@@ -83,11 +98,16 @@ def _description(case: Case) -> dicom.CaseDescription:
         identity=digest({"version": __version__, "inputs": [r.key for r in case.records]}),
         seed=spec.seed,
         software_version=__version__,
-        energy_keV=spec.physics.energy_keV,
-        detector_bits=spec.acquisition.detector.bits,
+        energy_keV=xray.energy_keV(case) if spec.physics.kind == "xray" else spec.physics.energy_keV,
+        detector_bits=16 if spec.physics.kind == "xray" else spec.acquisition.detector.bits,
         reconstruction_kind=spec.reconstruction.dicom_algorithm,
         reconstruction=spec.reconstruction.title,
-        attenuation_per_mm=projection.attenuation_per_mm(spec.physics),
+        attenuation_per_mm=(
+            xray.attenuation_per_mm(case)
+            if spec.physics.kind == "xray"
+            else projection.attenuation_per_mm(spec.physics)
+        ),
+        exposure=xray.exposure_of(case) if spec.physics.kind == "xray" else None,
     )
 
 
@@ -104,7 +124,7 @@ def write_previews(case: Case, work: Work) -> Report:
         work.folder,
         phantom=case.artifact("phantom"),
         compressed=case.artifact("warp"),
-        stack=case.artifact("projection"),
+        stack=case.artifact("detection"),
         volume=case.artifact("reconstruction"),
     )
     return {}

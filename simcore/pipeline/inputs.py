@@ -7,7 +7,7 @@ from simcore.pipeline.graph import Inputs, Source
 from simcore.spec import SimulationSpec
 
 GROWN, MESH, COMPRESSION, COMPRESSED = Source("phantom"), Source("mesh"), Source("fem"), Source("warp")
-PROJECTIONS, VOLUME = Source("projection", "key"), Source("reconstruction", "key")
+PROJECTIONS, VOLUME = Source("detection", "key"), Source("reconstruction", "key")
 OUTLINE = Source("phantom", "outline_sha256")
 
 
@@ -35,6 +35,17 @@ def of_warp(spec: SimulationSpec) -> Inputs | None:
 
 def of_projection(spec: SimulationSpec) -> Inputs | None:
     return {"phantom": COMPRESSED}
+
+
+def of_transport(spec: SimulationSpec) -> Inputs | None:
+    return {"phantom": COMPRESSED} if spec.physics.kind == "xray" else None
+
+
+def of_detection(spec: SimulationSpec) -> Inputs | None:
+    """Another exposure or noise realisation projects and transports nothing again."""
+    if spec.physics.kind != "xray":
+        return None
+    return {"phantom": COMPRESSED, "primary": Source("projection", "key"), "transport": Source("transport")}
 
 
 def of_reconstruction(spec: SimulationSpec) -> Inputs | None:

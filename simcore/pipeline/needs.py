@@ -7,6 +7,7 @@ from simcore.spec import SimulationSpec
 
 MESH_SECONDS_PER_TETRAHEDRON = {"tetwild": 5e-4, "lattice": 2e-5}
 VOXELS_PER_SECOND = 150e6
+SECONDS_PER_RAY_OF_TRANSPORT = 2e-6
 STORED_BYTES_PER_LABEL = 0.05
 
 
@@ -28,7 +29,21 @@ def warp(spec: SimulationSpec, sizes: Sizes) -> Needs:
 
 
 def projection(spec: SimulationSpec, sizes: Sizes) -> Needs:
+    if spec.physics.kind == "xray":
+        return Needs(3 * sizes.ray_seconds, 6 * sizes.pixels)
     return Needs(sizes.ray_seconds, 2 * sizes.pixels)
+
+
+def transport(spec: SimulationSpec, sizes: Sizes) -> Needs:
+    if spec.physics.kind != "xray":
+        return Needs(0.0)
+    setting = spec.physics.transport
+    rays = (setting.rays_per_view + setting.equivalent_breast_rays_per_view) * spec.acquisition.views
+    return Needs(1.5 * rays * SECONDS_PER_RAY_OF_TRANSPORT, 1e6)
+
+
+def detection(spec: SimulationSpec, sizes: Sizes) -> Needs:
+    return Needs(6e-8 * sizes.pixels, 2 * sizes.pixels)
 
 
 def reconstruction(spec: SimulationSpec, sizes: Sizes) -> Needs:

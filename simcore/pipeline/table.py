@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from simcore.pipeline import codecs, compute, inputs, needs
+from simcore.pipeline import codecs, compute, inputs, needs, xray
 from simcore.pipeline.graph import Stage
 
 TABLE = (
@@ -56,7 +56,35 @@ TABLE = (
         compute=compute.projections_of,
         codec=codecs.projections,
         public=("geometry.json",),
-        results=("truncated",),
+        results=("truncated", "half_value_layer_mm", "mean_energy_keV"),
+    ),
+    Stage(
+        "transport",
+        version=1,
+        inputs=inputs.of_transport,
+        parameters=compute.transport_parameters,
+        needs=needs.transport,
+        compute=xray.transport_of,
+        codec=codecs.transport,
+    ),
+    Stage(
+        "detection",
+        version=1,
+        inputs=inputs.of_detection,
+        parameters=compute.detection_parameters,
+        needs=needs.detection,
+        compute=xray.stack_of,
+        codec=codecs.detected,
+        stands_in="projection",
+        public=("geometry.json",),
+        results=(
+            "incident_air_kerma_mGy",
+            "mean_glandular_dose_mGy",
+            "mean_glandular_dose_equivalent_breast_mGy",
+            "entrance_dose_mGy",
+            "load_mAs",
+            "dose_model",
+        ),
     ),
     Stage(
         "reconstruction",

@@ -224,6 +224,7 @@ def _of_trajectory(trajectory: Any, isocenter_height: Any) -> dict[str, Any]:
 class PhysicsSpec(Spec):
     """Monoenergetic primary radiation: I = I0 exp(-sum mu dr)."""
 
+    kind: Literal["monoenergetic"] = "monoenergetic"
     attenuation: Literal["johns-yaffe-20keV", "icru-20keV"] = Field(
         "johns-yaffe-20keV",
         description="table of attenuation coefficients: johns-yaffe-20keV is the paper's (Johns and Yaffe 1987)",
@@ -250,7 +251,11 @@ class PhysicsSpec(Spec):
 
     def parameters(self) -> dict[str, Any]:
         """What results depend on; see AcquisitionSpec.parameters."""
-        return self.model_dump(exclude={"rays_per_pixel_edge"} if self.rays_per_pixel_edge == 1 else None)
+        return self.model_dump(exclude={"kind"} | ({"rays_per_pixel_edge"} if self.rays_per_pixel_edge == 1 else set()))
+
+    @classmethod
+    def example(cls) -> PhysicsSpec:
+        return cls()
 
     @property
     def energy_keV(self) -> float:

@@ -16,7 +16,7 @@ import numpy as np
 import zstandard
 from numpy.typing import NDArray
 
-from simcore.core.artifacts import Compression, Phantom, ProjectionStack, TetMesh, Volume
+from simcore.core.artifacts import Compression, Phantom, Primary, ProjectionStack, TetMesh, TransportResult, Volume
 from simcore.core.canonical import canonical
 from simcore.core.geometry import AcquisitionGeometry
 from simcore.core.grid import Grid
@@ -120,6 +120,31 @@ def load_stack(locate: Locate) -> ProjectionStack:
     return ProjectionStack(
         _load(locate, "projections"), meta["open_field"], geometry, meta["report"], meta.get("slab_integral", 0.0)
     )
+
+
+def save_primary(folder: Path, primary: Primary) -> None:
+    for name in ("signal", "variance", "open_signal", "open_variance"):
+        _save(folder, name, getattr(primary, name))
+    _write_meta(folder, {"geometry": primary.geometry.to_dict(), "report": primary.report})
+
+
+def load_primary(locate: Locate) -> Primary:
+    meta = _read_meta(locate)
+    arrays = [_load(locate, name) for name in ("signal", "variance", "open_signal", "open_variance")]
+    signal, variance, open_signal, open_variance = arrays
+    geometry = AcquisitionGeometry.from_dict(meta["geometry"])
+    return Primary(signal, variance, open_signal, open_variance, geometry, meta["report"])
+
+
+def save_transport(folder: Path, result: TransportResult) -> None:
+    for name in ("scatter", "scatter_variance"):
+        _save(folder, name, getattr(result, name))
+    _write_meta(folder, {"report": result.report})
+
+
+def load_transport(locate: Locate) -> TransportResult:
+    scatter, variance = (np.array(_load(locate, name)) for name in ("scatter", "scatter_variance"))
+    return TransportResult(scatter, variance, _read_meta(locate)["report"])
 
 
 def save_volume(folder: Path, volume: Volume) -> None:
