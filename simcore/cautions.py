@@ -20,6 +20,7 @@ def cautions(spec: SimulationSpec, reports: Mapping[str, Report]) -> list[str]:
         *_of_compression(spec, reports.get("fem", {})),
         *_of_warp(reports.get("warp", {})),
         *_of_projections(spec, reports.get("projection", {})),
+        *reports.get("detection", {}).get("remarks", ()),
         *_of_volume(spec, reports.get("reconstruction", {})),
     ]
 

@@ -17,6 +17,7 @@ from simcore.core.tissues import Tissue
 from simcore.needs import Estimate
 from simcore.pipeline.graph import Sizes
 from simcore.pipeline.table import TABLE
+from simcore.pipeline.xray import optics_of
 from simcore.projection.acquisition import geometry_of
 from simcore.projection.poses import check_poses
 from simcore.projection.spec import AcquisitionSpec
@@ -136,6 +137,9 @@ def check(spec: SimulationSpec, memory_limit_bytes: int | None = None) -> Estima
     available.refuse(spec)
     _check_plates(spec)
     _check_geometry(spec)
+    if spec.physics.kind == "xray":
+        spec.physics.exposure.shares(spec.acquisition.views)
+        optics_of(spec.acquisition, spec.physics)
     limit = physical_bytes() if memory_limit_bytes is None else memory_limit_bytes
     check_objects(spec, compressed_extent(spec), lambda other: estimate(other).memory_bytes <= limit)
     needs = estimate(spec)

@@ -10,12 +10,14 @@ from importlib import resources
 from typing import Any
 
 from simcore.core.errors import SpecError
+from simcore.detection.systems import detector_of
 from simcore.fem.spec import CompressionSpec
 from simcore.mesh.spec import TetwildMesh
 from simcore.phantom.spec import AnthropomorphicPhantom, CompartmentSpec
-from simcore.projection.spec import AcquisitionSpec, DetectorSpec
+from simcore.projection.spec import AcquisitionSpec, DetectorSpec, SlabSpec
 from simcore.reconstruction.spec import FilteredBackprojection
 from simcore.spec import SimulationSpec
+from simcore.xray import XraySpec
 
 # Volumes of the paper, section 5.1 (bra cup sizes, rounded), ml, and a number of compartments in its range 350..550.
 CUPS = {"a": (250.0, 350), "b": (450.0, 400), "c": (700.0, 450), "d": (950.0, 500), "dd": (1500.0, 550)}
@@ -54,22 +56,46 @@ def _system(title: str, acquisition: AcquisitionSpec) -> SimulationSpec:
     return paper_case("c", 50).with_(name=title, acquisition=acquisition)
 
 
+def _rows(name: str) -> list[dict[str, str]]:
+    with resources.files("simcore.data").joinpath(f"{name}.csv").open(encoding="utf-8") as lines:
+        return list(csv.DictReader(lines))
+
+
+def _fields(rows: list[dict[str, str]]) -> dict[str, dict[str, Any]]:
+    """What the rows of each system say, in the JSON of a specification."""
+    systems: dict[str, dict[str, Any]] = {}
+    for row in rows:
+        *parents, name = row["field"].split(".")
+        part = systems.setdefault(row["system"], {})
+        for parent in parents:
+            part = part.setdefault(parent, {})
+        part[name] = json.loads(row["value"])
+    return systems
+
+
 def _systems() -> dict[str, tuple[str, AcquisitionSpec]]:
     """Title and geometry of every system of simcore/data/systems.csv.
 
     raises: pydantic.ValidationError where a row is no field of an acquisition, or its value is out of range
     """
-    titles: dict[str, str] = {}
-    geometries: dict[str, dict[str, Any]] = {}
-    with resources.files("simcore.data").joinpath("systems.csv").open(encoding="utf-8") as lines:
-        for row in csv.DictReader(lines):
-            titles[row["system"]] = titles.get(row["system"]) or row["title"]
-            *parents, name = row["field"].split(".")
-            part = geometries.setdefault(row["system"], {})
-            for parent in parents:
-                part = part.setdefault(parent, {})
-            part[name] = json.loads(row["value"])
-    return {system: (titles[system], AcquisitionSpec.model_validate(fields)) for system, fields in geometries.items()}
+    rows = _rows("systems")
+    titles = {row["system"]: row["title"] for row in rows if row["title"]}
+    return {
+        system: (titles[system], AcquisitionSpec.model_validate(fields)) for system, fields in _fields(rows).items()
+    }
+
+
+def _with_xrays(system: str, technique: dict[str, Any]) -> SimulationSpec:
+    """A system with its tube, plates, detector and dose (simcore/data/techniques.csv)."""
+    case = get(system)
+    return case.with_(
+        name=f"{case.name} with X-rays",
+        acquisition=case.acquisition.with_(
+            paddle=SlabSpec(material="polycarbonate", thickness_mm=2.5),
+            support=SlabSpec(material="carbon-fibre", thickness_mm=1.5),
+        ),
+        physics=XraySpec.model_validate({**technique, "detector": detector_of(system)}),
+    )
 
 
 def _tiny() -> SimulationSpec:
@@ -112,6 +138,14 @@ def _build() -> dict[str, Preset]:
                 name,
                 title,
                 lambda title=title, a=acquisition: _system(title.split(":")[0], a),  # type: ignore[misc]
+            )
+        )
+    for name, technique in _fields(_rows("techniques")).items():
+        presets.append(
+            Preset(
+                f"{name}-xray",
+                f"{name} with spectrum, scatter, detector noise and dose",
+                lambda name=name, technique=technique: _with_xrays(name, technique),  # type: ignore[misc]
             )
         )
     presets.append(Preset("tiny", "a 60 ml breast with 1 mm voxels: seconds, for trying things out", _tiny))

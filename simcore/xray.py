@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, Self
 
-from pydantic import BeforeValidator, Field
+from pydantic import BeforeValidator, Field, model_validator
 
 from simcore.core.spec_base import Spec
 from simcore.detection.spec import DetectionSpec
@@ -27,6 +27,21 @@ class XraySpec(Spec):
     @classmethod
     def example(cls) -> XraySpec:
         return cls()
+
+    @model_validator(mode="after")
+    def _exposure_can_be_met(self) -> Self:
+        by_value = self.exposure.kind == "detector_signal"
+        by_noise = self.exposure.kind == "contrast_to_noise" and self.detector.electronic_noise.unit == "DN"
+        if (by_value or by_noise) and self.detector.gain_DN_per_keV is None:
+            raise ValueError(
+                f"exposure.kind = {self.exposure.kind!r} asks for pixel values: detector.gain_DN_per_keV must be given"
+            )
+        measured = self.tube.measured
+        if self.exposure.kind == "tube_load" and measured is not None and measured.mGy_per_mAs is None:
+            raise ValueError(
+                "exposure.kind = 'tube_load' needs the output of the measured spectrum: tube.measured.mGy_per_mAs"
+            )
+        return self
 
     def projection_parameters(self) -> dict[str, Any]:
         """What the primary projections depend on."""

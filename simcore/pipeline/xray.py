@@ -175,6 +175,12 @@ def stack_of(case: Case, progress: Progress) -> ProjectionStack:
     shares = spec.exposure.shares(geometry.views)
     photons_per_mGy = 1.0 / _central(scattered, geometry.angles)
     response = _response(case, primary, scattered, photons_per_mGy, shares)
+    if spec.exposure.kind == "mean_glandular_dose" and not response.dose_mGy > 0:
+        message = "the breast has no glandular tissue: take another kind of exposure, such as 'air_kerma'"
+        raise SpecError(
+            f"physics.exposure.kind = 'mean_glandular_dose': {message}",
+            problems=[{"field": "physics.exposure.kind", "value": "mean_glandular_dose", "message": message}],
+        )
     kerma = solve(spec.exposure, response)
     shape, area = primary.signal.shape[1:], geometry.detector.pixel**2
     signal, variance = np.empty((2, *primary.signal.shape), np.float32)
