@@ -24,6 +24,7 @@ from simcore.core.artifacts import Compression, Phantom, ProjectionStack, Volume
 from simcore.core.errors import SimulationError
 from simcore.core.grid import Grid
 from simcore.core.tissues import Tissue
+from simcore.detection.stack import Expected
 from simcore.detection.transfer import RationalTransfer
 from simcore.mesh.spec import LatticeMesh
 from simcore.mesh.structured import half_ellipsoid
@@ -139,7 +140,7 @@ def _projection() -> None:
 def _detection() -> None:
     stack = _stack()
     signal = np.ones(stack.data.shape, np.float32)
-    expected = detection.Expected(signal, signal, signal[0])
+    expected = Expected(signal, signal, signal[0])
     # Lag and correlated noise, then neither.
     system = detection.detector_of("ge-pristina").with_(transfer=RationalTransfer(half_per_mm=3.0))
     detection.detect(expected, system, stack.geometry, 0)

@@ -5,13 +5,17 @@ detection.response gives what a photon leaves in the converter: the weights of s
 
 from __future__ import annotations
 
-from simcore.core.geometry import AcquisitionGeometry
+from typing import TYPE_CHECKING
+
 from simcore.core.progress import Progress, silent
 from simcore.detection.spec import DetectionSpec
-from simcore.detection.stack import DetectedStack, Expected
 from simcore.detection.systems import detector_of, systems
 
-__all__ = ["DetectedStack", "DetectionSpec", "Expected", "detect", "detector_of", "systems"]
+if TYPE_CHECKING:  # whoever reads a specification needs no numerics
+    from simcore.core.geometry import AcquisitionGeometry
+    from simcore.detection.stack import DetectedStack, Expected
+
+__all__ = ["DetectionSpec", "detect", "detector_of", "systems"]
 
 
 def detect(

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from simcore.detection.normals import BLOCK, fill_row
+from simcore.kernels import njit
 
 FloatArray = NDArray[np.float32]
 Key = NDArray[np.uint64]

@@ -10,8 +10,6 @@ import math
 from dataclasses import dataclass
 from typing import Annotated, Literal, Self
 
-import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
 from simcore.core.errors import SpecError
@@ -37,18 +35,18 @@ class _Exposure(Spec):
             raise ValueError("view_shares must have a share above 0")
         return self
 
-    def shares(self, views: int) -> NDArray[np.float64]:
-        """(views,), summing to 1. raises: SpecError where there are as many shares as another number of views"""
+    def shares(self, views: int) -> list[float]:
+        """Of each view, summing to 1. raises: SpecError where there are as many shares as another number of views"""
         if self.view_shares is None:
-            return np.full(views, 1.0 / views)
+            return views * [1.0 / views]
         if len(self.view_shares) != views:
             message = f"{len(self.view_shares)} shares for {views} views: one for each view, or none"
             raise SpecError(
                 f"physics.exposure.view_shares: {message}",
                 problems=[{"field": "physics.exposure.view_shares", "value": None, "message": message}],
             )
-        shares = np.array(self.view_shares)
-        return np.asarray(shares / shares.sum())
+        total = sum(self.view_shares)
+        return [share / total for share in self.view_shares]
 
 
 class AirKerma(_Exposure):

@@ -8,9 +8,8 @@ from functools import cache
 from types import MappingProxyType
 
 from simcore.core.tissues import Tissue
-from simcore.physics.tables import atomic_masses, rows
-
-FRACTIONS_TOLERANCE = 1e-3
+from simcore.physics.spec import composition_problem
+from simcore.physics.tables import rows
 
 
 @dataclass(frozen=True, eq=False)
@@ -35,21 +34,6 @@ class Material:
         total = sum(self.mass_fractions.values())
         scaled = {symbol: fraction / total for symbol, fraction in self.mass_fractions.items() if fraction > 0}
         object.__setattr__(self, "mass_fractions", MappingProxyType(scaled))
-
-
-def composition_problem(mass_fractions: Mapping[str, float]) -> str | None:
-    """What is wrong with mass fractions, as a sentence; None where nothing is."""
-    unknown = [symbol for symbol in mass_fractions if symbol not in atomic_masses()]
-    if unknown:
-        return f"no cross sections of {', '.join(map(repr, unknown))}; there are {', '.join(atomic_masses())}"
-    negative = [f"{symbol} = {fraction:g}" for symbol, fraction in mass_fractions.items() if not fraction >= 0]
-    if negative:
-        return f"mass fractions must not be below 0: {', '.join(negative)}"
-    total = sum(mass_fractions.values())
-    if not abs(total - 1) <= FRACTIONS_TOLERANCE:
-        hint = "; give fractions, not percent" if 99 <= total <= 101 else ""
-        return f"mass fractions sum to {total:.6g}; they must sum to 1 within {FRACTIONS_TOLERANCE:g}{hint}"
-    return None
 
 
 def mixture(name: str, parts: Sequence[tuple[Material, float]], *, density_g_cm3: float | None = None) -> Material:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Annotated, Literal, Self
 
 from pydantic import Field, model_validator
@@ -11,6 +12,12 @@ from simcore.core.tissues import Tissue
 
 LOWEST_KVP, HIGHEST_KVP = 20.0, 49.0
 LOWEST_KEV, HIGHEST_KEV = 1.0, 150.0
+
+_LIGHT = "H Be B C N O F Na Mg Al Si P S Cl Ar K Ca"
+_HEAVY = "Ti Cr Mn Fe Ni Cu Zn Se Br Sr Mo Rh Ag Cd Sn I Cs Ba Gd W Au Pb Bi"
+ELEMENTS = tuple(f"{_LIGHT} {_HEAVY}".split())
+"""Those that there are cross sections of; named here so that a specification is read without them."""
+FRACTIONS_TOLERANCE = 1e-3
 
 FilterMaterial = Literal[
     "aluminium", "rhodium", "silver", "molybdenum", "copper", "beryllium", "pmma", "polycarbonate", "carbon-fibre"
@@ -95,6 +102,21 @@ class TubeSpec(Spec):
         return self
 
 
+def composition_problem(mass_fractions: Mapping[str, float]) -> str | None:
+    """What is wrong with mass fractions, as a sentence; None where nothing is."""
+    unknown = [symbol for symbol in mass_fractions if symbol not in ELEMENTS]
+    if unknown:
+        return f"no cross sections of {', '.join(map(repr, unknown))}; there are {', '.join(ELEMENTS)}"
+    negative = [f"{symbol} = {fraction:g}" for symbol, fraction in mass_fractions.items() if not fraction >= 0]
+    if negative:
+        return f"mass fractions must not be below 0: {', '.join(negative)}"
+    total = sum(mass_fractions.values())
+    if not abs(total - 1) <= FRACTIONS_TOLERANCE:
+        hint = "; give fractions, not percent" if 99 <= total <= 101 else ""
+        return f"mass fractions sum to {total:.6g}; they must sum to 1 within {FRACTIONS_TOLERANCE:g}{hint}"
+    return None
+
+
 class CompositionSpec(Spec):
     """A material of one's own."""
 
@@ -105,8 +127,6 @@ class CompositionSpec(Spec):
 
     @model_validator(mode="after")
     def _sums(self) -> Self:
-        from simcore.physics.materials import composition_problem
-
         if problem := composition_problem(self.mass_fractions):
             raise ValueError(problem)
         return self

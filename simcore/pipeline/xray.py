@@ -125,7 +125,6 @@ def transport_of(case: Case, progress: Progress) -> TransportResult:
     from simcore.detection.response import response
     from simcore.physics.spectrum import tissue_materials
     from simcore.transport.response import DetectorResponse
-    from simcore.transport.views import Spectrum
 
     spec = xray(case)
     optics = optics_of(case.spec.acquisition, spec)
@@ -136,7 +135,7 @@ def transport_of(case: Case, progress: Progress) -> TransportResult:
         case.artifact("warp"),
         projection.geometry_of(case.spec.acquisition),
         spec.transport,
-        spectrum=Spectrum(energies, optics.emission.photons),
+        spectrum=optics.emission,
         tissues=tissue_materials(spec.materials),
         plates=_plates(case),
         response=DetectorResponse(

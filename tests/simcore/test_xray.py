@@ -12,13 +12,13 @@ from pydantic import ValidationError
 
 from simcore import estimate, pipeline, presets
 from simcore.core.errors import SpecError
-from simcore.store import Store
 from simcore.dicom import check
 from simcore.mesh.spec import LatticeMesh
 from simcore.physics.exposure import AirKerma, GlandularDose
 from simcore.pipeline.result import CaseResult
 from simcore.projection.spec import SlabSpec
 from simcore.spec import SimulationSpec
+from simcore.store.store import Store
 from simcore.xray import XraySpec
 
 TINY = presets.get("tiny")

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from typing import ClassVar
 
-from pydantic import Field, field_validator
+from pydantic import Field
 
 from simcore.core.spec_base import Spec, quantity
-from simcore.physics.materials import standard_materials
+from simcore.physics.spec import FilterMaterial
 
 
 class LayerSpec(Spec):
@@ -18,7 +18,7 @@ class LayerSpec(Spec):
 
     material: ClassVar[str]
 
-    cover_material: str = Field(description="material of the cover (breast support inside, housing), by its name")
+    cover_material: FilterMaterial = Field(description="material of the cover (breast support inside, housing)")
     cover_mm: float = quantity("thickness of the cover", unit="mm", ge=0.0, le=20.0)
     fill_factor: float = quantity(
         "part of a pixel's area that collects; the aperture's edge is that of the pixel times its root",
@@ -27,10 +27,3 @@ class LayerSpec(Spec):
         gt=0.05,
         le=1.0,
     )
-
-    @field_validator("cover_material")
-    @classmethod
-    def _is_a_material(cls, name: str) -> str:
-        if name not in standard_materials():
-            raise ValueError(f"no material {name!r}; there are {', '.join(standard_materials())}")
-        return name

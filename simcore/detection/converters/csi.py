@@ -6,6 +6,7 @@ from typing import ClassVar, Literal
 
 from simcore.core.spec_base import quantity
 from simcore.detection.converters.common import LayerSpec
+from simcore.physics.spec import FilterMaterial
 
 
 class CaesiumIodide(LayerSpec):
@@ -21,7 +22,7 @@ class CaesiumIodide(LayerSpec):
         gt=0.0,
         le=2.0,
     )
-    cover_material: str = "carbon-fibre"
+    cover_material: FilterMaterial = "carbon-fibre"
     cover_mm: float = quantity("thickness of the cover", unit="mm", default=0.5, ge=0.0, le=20.0)
     swank: float = quantity(
         "Swank factor of the light of one absorbed energy, without K fluorescence",

@@ -8,6 +8,7 @@ from pydantic import Field
 
 from simcore.core.spec_base import quantity
 from simcore.detection.converters.common import LayerSpec
+from simcore.physics.spec import FilterMaterial
 
 
 class Selenium(LayerSpec):
@@ -17,7 +18,7 @@ class Selenium(LayerSpec):
 
     kind: Literal["a-se"] = "a-se"
     thickness_mm: float = quantity("thickness of the layer", unit="mm", default=0.2, gt=0.0, le=2.0)
-    cover_material: str = "carbon-fibre"
+    cover_material: FilterMaterial = "carbon-fibre"
     cover_mm: float = quantity("thickness of the cover", unit="mm", default=0.5, ge=0.0, le=20.0)
     swank: float = quantity(
         "Swank factor of the charge of one absorbed energy, without K fluorescence",

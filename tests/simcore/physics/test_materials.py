@@ -5,6 +5,8 @@ import pytest
 from simcore.core.tissues import Tissue
 from simcore.physics.attenuation import attenuation
 from simcore.physics.materials import Material, material, mixture, standard_materials, tissue_sets
+from simcore.physics.spec import ELEMENTS
+from simcore.physics.tables import atomic_masses
 from simcore.projection.materials import attenuation_table
 
 
@@ -77,3 +79,8 @@ def test_volumes_of_a_mixture_add_up_unless_its_density_is_given():
     assert whole == pytest.approx(
         sum(v * attenuation(part, 25.0) for v, (part, _) in zip(volumes, parts, strict=True)) / sum(volumes)
     )
+
+
+def test_a_specification_names_the_elements_of_the_table() -> None:
+    """It is read without numerics, so it cannot look there."""
+    assert tuple(atomic_masses()) == ELEMENTS
