@@ -1,6 +1,7 @@
 """One case from specification to DICOM: the stages of ``table`` in order, each computed once and kept in the store.
 
-    phantom -> mesh -> fem -> warp -> projection -> reconstruction -> dicom -> mechanics -> preview
+    phantom -> mesh -> fem -> warp -> projection [-> transport -> detection] -> reconstruction -> dicom
+        -> mechanics -> preview
 
 A second run of the same specification computes nothing; a run after a kill continues after the last whole stage;
 a sweep over acquisitions grows and compresses its phantom once.
@@ -19,10 +20,15 @@ from simcore.spec import SimulationSpec
 from simcore.store.records import Commits
 from simcore.store.store import Store
 
-__all__ = ["STAGES", "TABLE", "VERSIONS", "CaseResult", "run"]
+__all__ = ["STAGES", "TABLE", "VERSIONS", "CaseResult", "run", "stages_of"]
 
 STAGES = tuple(stage.name for stage in TABLE)
 VERSIONS = {stage.name: stage.version for stage in TABLE}
+
+
+def stages_of(spec: SimulationSpec) -> tuple[str, ...]:
+    """The stages that a case has, in their order."""
+    return tuple(stage.name for stage in TABLE if stage.inputs(spec) is not None)
 
 
 def run(spec: SimulationSpec, store: Store, progress: CaseProgress = silent) -> CaseResult:

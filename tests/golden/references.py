@@ -18,6 +18,7 @@ from simcore.core.artifacts import Phantom, TetMesh
 from simcore.core.canonical import canonical
 from simcore.core.progress import Progress
 from simcore.mesh.spec import MeshSpec
+from simcore.spec import SimulationSpec
 from simcore.store.store import Store
 from tests.golden.cases import CASES, brief
 from tests.golden.facts import Facts, facts_of
@@ -25,7 +26,8 @@ from tests.golden.facts import Facts, facts_of
 FOLDER = Path(__file__).parent / "references"
 MESH = FOLDER / "tetwild.npz"
 RECORD = "python -m tests.golden.record"
-BEFORE = {"mechanics": pipeline.STAGES[:3], "preview": pipeline.STAGES[:6]}
+STAGES = pipeline.stages_of(SimulationSpec())
+BEFORE = {"mechanics": STAGES[:3], "preview": STAGES[:6]}
 """What a stage reads, directly or not, where that is not every stage that is listed before it."""
 
 
@@ -78,7 +80,7 @@ def write_mesh(tetrahedra: TetMesh) -> None:
 
 def versions_of(stage: str) -> dict[str, int]:
     """Versions of a stage and of those before it, as they are now."""
-    before = BEFORE.get(stage, pipeline.STAGES[: pipeline.STAGES.index(stage)])
+    before = BEFORE.get(stage, STAGES[: STAGES.index(stage)])
     return {name: pipeline.VERSIONS[name] for name in (*before, stage)}
 
 

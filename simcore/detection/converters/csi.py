@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from typing import ClassVar, Literal
 
+from pydantic import Field
+
 from simcore.core.spec_base import quantity
 from simcore.detection.converters.common import LayerSpec
 from simcore.physics.spec import FilterMaterial
@@ -22,7 +24,9 @@ class CaesiumIodide(LayerSpec):
         gt=0.0,
         le=2.0,
     )
-    cover_material: FilterMaterial = "carbon-fibre"
+    cover_material: FilterMaterial = Field(
+        "carbon-fibre", description="material of the cover (breast support inside, housing)"
+    )
     cover_mm: float = quantity("thickness of the cover", unit="mm", default=0.5, ge=0.0, le=20.0)
     swank: float = quantity(
         "Swank factor of the light of one absorbed energy, without K fluorescence",

@@ -18,7 +18,9 @@ class Selenium(LayerSpec):
 
     kind: Literal["a-se"] = "a-se"
     thickness_mm: float = quantity("thickness of the layer", unit="mm", default=0.2, gt=0.0, le=2.0)
-    cover_material: FilterMaterial = "carbon-fibre"
+    cover_material: FilterMaterial = Field(
+        "carbon-fibre", description="material of the cover (breast support inside, housing)"
+    )
     cover_mm: float = quantity("thickness of the cover", unit="mm", default=0.5, ge=0.0, le=20.0)
     swank: float = quantity(
         "Swank factor of the charge of one absorbed energy, without K fluorescence",
