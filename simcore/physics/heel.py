@@ -8,7 +8,7 @@ from numpy.typing import ArrayLike, NDArray
 from simcore.physics.attenuation import attenuation
 from simcore.physics.materials import material
 from simcore.physics.spec import TubeSpec
-from simcore.physics.spectrum import LEAST_SHARE, Emission, air_kerma, emission, unfiltered
+from simcore.physics.spectrum import LEAST_SHARE, Emission, air_kerma, emission, through_filters, unfiltered
 from simcore.physics.tables import arrays
 
 FloatArray = NDArray[np.float64]
@@ -84,10 +84,9 @@ def heel_factor(
 
 def _emission_at(tube: TubeSpec, air_mm: float, angle: float, factor: float) -> Emission:
     energies, photons = unfiltered(tube.anode, tube.kVp)
-    depths = attenuation(material("air"), energies) * air_mm
-    for layer in (*tube.inherent, *tube.filters):
-        depths = depths + attenuation(material(layer.material), energies) * layer.thickness_mm
-    photons = photons * _anode_ratio(tube.anode, tube.kVp, angle, energies) * np.exp(-depths * factor)
+    air = np.exp(-attenuation(material("air"), energies) * air_mm * factor)
+    photons = photons * _anode_ratio(tube.anode, tube.kVp, angle, energies) * air
+    photons = photons * through_filters(tube, energies, factor)
     strong = photons > LEAST_SHARE * photons.max()
     return Emission(energies[strong], photons[strong], True)
 

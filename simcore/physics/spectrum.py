@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 from simcore.core.tissues import Tissue
 from simcore.physics.attenuation import attenuation, energy_transfer
 from simcore.physics.materials import Material, material, tissue_sets
-from simcore.physics.spec import MaterialsSpec, TubeSpec
+from simcore.physics.spec import LOWEST_KEV, MaterialsSpec, TubeSpec
 from simcore.physics.tables import arrays
 
 FloatArray = NDArray[np.float64]
@@ -20,6 +20,7 @@ MGY_MM2_PER_KEV_PER_MM = 1.602176634e-10 / 1e-3
 CM2_PER_SR = 1e4
 """At 1 m."""
 LEAST_SHARE = 1e-7
+BIN_PARTS = 10
 
 
 class Emission(NamedTuple):
@@ -47,8 +48,7 @@ def emission(tube: TubeSpec, air_mm: float = 0.0) -> Emission:
             photons = photons * (tube.measured.mGy_per_mAs / air_kerma(energies, photons, 1000.0))
     else:
         energies, photons = unfiltered(tube.anode, tube.kVp)
-        for filter in (*tube.inherent, *tube.filters):
-            photons = photons * np.exp(-attenuation(material(filter.material), energies) * filter.thickness_mm)
+        photons = photons * through_filters(tube, energies)
     if air_mm:
         photons = photons * np.exp(-attenuation(material("air"), energies) * air_mm)
     strong = photons > LEAST_SHARE * photons.max()
@@ -77,6 +77,22 @@ def unfiltered(anode: str, kVp: float) -> tuple[FloatArray, FloatArray]:
     photons = np.concatenate([continuum * np.diff(edges), lines[lines > 0]]) * CM2_PER_SR
     energies, groups = np.unique(energies, return_inverse=True)
     return energies, np.asarray(np.bincount(groups, photons), np.float64)
+
+
+def through_filters(tube: TubeSpec, energies_keV: FloatArray, slant: float = 1.0) -> FloatArray:
+    """Share of photons that passes the filters, in the shape of the energies, which are those of ``unfiltered``.
+
+    slant: path through a filter over its thickness. In a bin it is the mean over tenths: the K edge of a filter stands
+    inside of one.
+    """
+    edges = np.asarray(arrays("anodes")["bin_edges_keV"], np.float64)
+    middles = (edges[:-1] + edges[1:]) / 2
+    width = np.where(np.isin(energies_keV, middles), edges[1] - edges[0], 0.0)
+    places = energies_keV + width * ((np.arange(BIN_PARTS)[:, None] + 0.5) / BIN_PARTS - 0.5)
+    depths = np.zeros(places.shape)
+    for layer in (*tube.inherent, *tube.filters):
+        depths += attenuation(material(layer.material), np.maximum(places, LOWEST_KEV)) * layer.thickness_mm
+    return np.asarray(np.exp(-depths * slant).mean(axis=0))
 
 
 def kerma_per_photon(energies_keV: ArrayLike) -> FloatArray:

@@ -42,17 +42,14 @@ def test_spectra_are_those_of_their_source(
     kerma: float,
     mean: float,
 ) -> None:
-    """SpekPy 2.5.4 ("casim", 22 degrees, steps of 0.1 keV, NIST coefficients), also between whole kilovolts.
-
-    Filters act at the middle of a bin, so the bin of rhodium's edge counts as above it: 0.9 % of the layer,
-    1.9 % of the photons."""
+    """SpekPy 2.5.4 ("casim", 22 degrees, steps of 0.1 keV, NIST coefficients), also between whole kilovolts."""
     chosen = FilterSpec(material=filter[0], thickness_mm=filter[1])  # type: ignore[arg-type]
     beam = emission(TubeSpec(anode=anode, kVp=kVp, filters=(chosen,), inherent=WINDOW))  # type: ignore[arg-type]
-    assert value_layer(beam.energies_keV, beam.photons) == pytest.approx(half, rel=0.01)
-    assert value_layer(beam.energies_keV, beam.photons, 0.25) == pytest.approx(quarter, rel=0.01)
-    assert beam.photons.sum() / 1e6 == pytest.approx(photons, rel=0.02)
-    assert air_kerma(beam.energies_keV, beam.photons, 1000.0) == pytest.approx(kerma, rel=0.015)
-    assert beam.mean_keV == pytest.approx(mean, rel=6e-3)
+    assert value_layer(beam.energies_keV, beam.photons) == pytest.approx(half, rel=5e-3)
+    assert value_layer(beam.energies_keV, beam.photons, 0.25) == pytest.approx(quarter, rel=5e-3)
+    assert beam.photons.sum() / 1e6 == pytest.approx(photons, rel=5e-3)
+    assert air_kerma(beam.energies_keV, beam.photons, 1000.0) == pytest.approx(kerma, rel=5e-3)
+    assert beam.mean_keV == pytest.approx(mean, rel=2e-3)
 
 
 @pytest.mark.parametrize(
