@@ -21,7 +21,9 @@ class Orthanc:
     def __init__(self, port: int, url: str) -> None:
         self.port = port
         self.url = url
-        self.http = httpx.Client(base_url=url, timeout=60, headers={"Accept-Encoding": "identity"})
+        # A connection that was kept may be closed by Orthanc just as it is used again.
+        limits = httpx.Limits(max_keepalive_connections=0)
+        self.http = httpx.Client(base_url=url, timeout=60, headers={"Accept-Encoding": "identity"}, limits=limits)
 
     def answers(self) -> bool:
         try:

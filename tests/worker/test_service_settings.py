@@ -80,7 +80,7 @@ def test_long_data_folder_gets_a_short_socket(make_settings, tmp_path):
 
 def test_service_parents_load_no_kernels(make_settings):
     """The Celery parent and the API stay light; the compute process loads the rest."""
-    heavy = ("numba", "scipy", "pytetwild", "skimage", "simcore.pipeline")
+    heavy = ("numba", "scipy", "pytetwild", "skimage")
     light = "api.app, worker.compute.app, worker.serve.embedded"
     code = f"import sys, {light}; print(*(m for m in {heavy} if m in sys.modules))"
     done = subprocess.run(
