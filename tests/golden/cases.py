@@ -177,6 +177,10 @@ CASES: dict[str, Make] = {
 }
 
 
+UNNAMED = "monoenergetic"
+"""A kind that specifications did not name while there was no other, and that earlier revisions do not know."""
+
+
 def brief(value: Any) -> Any:
     """A specification as JSON without what is at its default: the same whatever fields are added later."""
     if isinstance(value, Spec):
@@ -184,6 +188,8 @@ def brief(value: Any) -> Any:
         parts = {
             name: getattr(value, name) for name, f in fields if name == "kind" or getattr(value, name) != f.default
         }
+        if parts.get("kind") == UNNAMED:
+            del parts["kind"]
         return {name: brief(part) for name, part in parts.items()}
     if isinstance(value, list | tuple):
         return [brief(item) for item in value]
